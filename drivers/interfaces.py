@@ -1,0 +1,152 @@
+"""What the executive may ask of a scanner and of a base, whatever stands behind them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from drivers.jobs import Job
+from perception.grids import Grid
+from perception.transforms import Matrix
+
+
+@dataclass(frozen=True)
+class ScanSettings:
+    """How to take a scan: angle between neighbouring beams in radians."""
+
+    step: float
+
+
+@dataclass(frozen=True)
+class ScanReceipt:
+    """A finished scan that the scanner keeps until it has been fetched.
+
+    Args:
+        scan_id: the name it was ordered by.
+        points: number of returned beams.
+        size: length of the encoded scan in bytes.
+        sha256: hash of those bytes, hexadecimal.
+        started, ended: UTC, ISO 8601.
+    """
+
+    scan_id: str
+    points: int
+    size: int
+    sha256: str
+    started: str
+    ended: str
+
+
+@dataclass(frozen=True)
+class ScannerInfo:
+    """Who the scanner is."""
+
+    model: str
+    serial: str
+    protocol: int
+
+
+class Scanner(Protocol):
+    """A terrestrial laser scanner. Every scan is named by the caller; the same name is never taken twice."""
+
+    def info(self) -> Job[ScannerInfo]:
+        """Ask who answers; fails with ``AGENT_UNREACHABLE``."""
+        ...
+
+    def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> Job[ScanReceipt]:
+        """Take a scan, or join or return the one of this name. Cancelling stops the scanner."""
+        ...
+
+    def fetch(self, receipt: ScanReceipt, destination: Path) -> Job[Path]:
+        """Bring the encoded scan (``drivers.scan_file``) to ``destination``, verified, resuming a partial file."""
+        ...
+
+
+@dataclass(frozen=True)
+class BaseState:
+    """The newest telemetry of the base.
+
+    Args:
+        odom_from_base: 4x4, wheel odometry; drifts, never jumps.
+        map_from_base: 4x4, the base's own localisation in the last robot map it was given, or None before one.
+        moving: whether the wheels turn.
+        emergency_stop: whether the hardware stop is pressed.
+        battery: state of charge in [0, 1].
+        activity: one of ``idle``, ``driving``, ``waiting``, ``blocked``, ``stopped``.
+        age: seconds since it was received.
+    """
+
+    odom_from_base: Matrix
+    map_from_base: Matrix | None
+    moving: bool
+    emergency_stop: bool
+    battery: float
+    activity: str
+    age: float
+
+
+@dataclass(frozen=True)
+class BaseInfo:
+    """Who the base is and how large: footprint is length x width in metres, centred on ``base_link``."""
+
+    model: str
+    serial: str
+    protocol: int
+    footprint: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DriveGoal:
+    """Where to go.
+
+    Args:
+        goal_id: name, stable over retries; the same goal is never driven twice.
+        robot_map: the robot map ``M(t)`` of :class:`~perception.grids.Cell`.
+        map_id: name of that map.
+        map_from_base: 4x4, where the base stands now in that map, as registration found it, or None to rely on
+            the base's own localisation.
+        x, y: goal in the map frame, metres.
+        yaw: heading at the goal in radians, or None for any.
+    """
+
+    goal_id: str
+    robot_map: Grid
+    map_id: str
+    map_from_base: Matrix | None
+    x: float
+    y: float
+    yaw: float | None = None
+
+
+@dataclass(frozen=True)
+class DriveReport:
+    """The end of a drive: where the base believes it is, and the places it drove over ``(N, 3)`` x, y, yaw (map)."""
+
+    goal_id: str
+    map_from_base: Matrix
+    track: tuple[tuple[float, float, float], ...]
+    distance: float
+
+
+class Base(Protocol):
+    """A mobile base that plans and drives in the robot map it is given and stops by itself before obstacles."""
+
+    def info(self) -> Job[BaseInfo]:
+        """Ask who answers; fails with ``AGENT_UNREACHABLE``."""
+        ...
+
+    def state(self) -> BaseState | None:
+        """Newest telemetry, or None before the first."""
+        ...
+
+    def drive(self, goal: DriveGoal) -> Job[DriveReport]:
+        """Drive to a goal.
+
+        Fails with ``NAV_NO_PATH`` (nothing was driven), ``NAV_BLOCKED`` (an obstacle stayed in the way),
+        ``NAV_STUCK`` (no progress, localisation lost), ``ESTOP``, ``AGENT_UNREACHABLE``. Evidence holds the
+        ``track`` driven and the last ``map_from_base``. Cancelling stops the base.
+        """
+        ...
+
+    def stop(self) -> Job[None]:
+        """Bring the wheels to rest and drop any goal. Harmless at any time."""
+        ...

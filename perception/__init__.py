@@ -1,0 +1,1 @@
+"""The paper's stages as pure functions on arrays: no clock, thread, file, socket or behaviour tree."""

@@ -1,0 +1,1 @@
+"""Thin py_trees leaves and the blackboard they share: no algorithm, no socket."""

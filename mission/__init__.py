@@ -1,0 +1,1 @@
+"""The mission executive: configuration, tick loop, perception worker, run folder, report and command line."""

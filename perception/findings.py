@@ -46,6 +46,7 @@ class Registration:
         weak_axis: its eigenvector, the direction that the pairs do not hold.
         correction_m, correction_rad: distance and angle from the guess to the result.
         method: ``anchor`` (first scan), ``icp`` or ``global``.
+        conflict: share of the surface that both sides could test which one of them saw through.
     """
 
     map_from_scanner: Matrix
@@ -57,6 +58,7 @@ class Registration:
     correction_m: float
     correction_rad: float
     method: str
+    conflict: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,23 @@
+.PHONY: setup mission test lint campaign bench
+
+export OMP_NUM_THREADS ?= 2
+
+setup:
+	@bash .ci/setup
+
+# A simulated robot scans the paper's six-room school, to its report.
+mission: setup
+	.venv/bin/mission simulate school
+
+lint: setup
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+test: lint
+	.venv/bin/pytest
+
+# The tables of the README: hours of missions.
+campaign: setup
+	.venv/bin/python -m benchmarks.campaign

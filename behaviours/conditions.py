@@ -1,0 +1,70 @@
+"""Questions to the blackboard: one tick, SUCCESS for yes, FAILURE for no, and no note in the failure record."""
+
+from py_trees.common import Status
+
+from behaviours.keys import Key
+from behaviours.leaf import Leaf
+from perception.failure import Failure
+
+
+class Condition(Leaf):
+    """Asks :meth:`holds`."""
+
+    def holds(self) -> bool:
+        raise NotImplementedError(type(self).__name__)
+
+    def tick_once(self) -> Status:
+        return Status.SUCCESS if self.holds() else Status.FAILURE
+
+
+class FailureIs(Condition):
+    """Whether the newest failure has one of these codes; a prefix ends with ``_``. Picks the recovery that can help."""
+
+    reads = (Key.FAILURE,)
+
+    def __init__(self, name: str, *codes: str) -> None:
+        super().__init__(name)
+        self.codes = codes
+
+    def holds(self) -> bool:
+        failure: Failure | None = self.read(Key.FAILURE)
+        if failure is None:
+            return False
+        self.say(failure.code)
+        return any(
+            failure.code == code or (code.endswith("_") and failure.code.startswith(code)) for code in self.codes
+        )
+
+
+class NoScanYet(Condition):
+    """Whether the map frame is still to be made."""
+
+    reads = (Key.SURVEY,)
+
+    def holds(self) -> bool:
+        return not self.read(Key.SURVEY).scans
+
+
+class ScanIsSetAside(Condition):
+    """Whether a scan waits for a place."""
+
+    reads = (Key.SURVEY,)
+
+    def holds(self) -> bool:
+        return bool(self.read(Key.SURVEY).set_aside)
+
+
+class RoomIsOpen(Condition):
+    """Whether the room being scanned still wants scans."""
+
+    reads = (Key.SURVEY, Key.ROOM)
+
+    def holds(self) -> bool:
+        return bool(self.read(Key.SURVEY).building.room(self.read(Key.ROOM)).status == "open")
+
+
+class RoomIsEnded(RoomIsOpen):
+    """Whether the room being scanned is done with."""
+
+    def holds(self) -> bool:
+        return not super().holds()

@@ -1,0 +1,140 @@
+"""Leaves that send the base somewhere; the base plans, drives and stops before obstacles by itself."""
+
+from collections.abc import Mapping
+
+from py_trees.common import Status
+
+from behaviours.job import JobLeaf
+from behaviours.keys import Key
+from behaviours.leaf import Leaf
+from behaviours.survey import Survey, Target
+from drivers.interfaces import DriveGoal, DriveReport
+from drivers.jobs import Job
+from perception.failure import Failure, FailureError
+
+
+class DriveToTarget(JobLeaf):
+    """Drives to the target in the robot map M(t); what it drove over is free floor from then on."""
+
+    reads = (Key.TARGET,)
+    writes = (Key.SURVEY,)
+    timeout_code = "NAV_TIMEOUT"
+
+    def start(self) -> Job[DriveReport]:
+        target: Target | None = self.read(Key.TARGET)
+        survey: Survey = self.read(Key.SURVEY)
+        if target is None:
+            raise FailureError("NAV_NO_TARGET", "no place to drive to was chosen")
+        if survey.map_id is None:
+            raise FailureError("NAV_NO_MAP", "no robot map yet, so nowhere is known to be free")
+        # A pose that registration has just found is better than the base's own; after a drive it is stale.
+        known = survey.scans[-1].map_from_base if survey.driven == 0 else None
+        robot_map = self.services.files.robot_map(survey.map_id)
+        return self.services.base.drive(
+            DriveGoal(target.goal_id, robot_map, survey.map_id, known, target.x, target.y, target.yaw)
+        )
+
+    def timeout(self) -> float:
+        return self.services.settings.driving.timeout_s
+
+    def finish(self, value: DriveReport) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        self.write(Key.SURVEY, survey.with_drive(value.track, value.distance))
+        self._record("arrived", value.distance)
+        self.say(f"arrived after {value.distance:.1f} m")
+        return Status.SUCCESS
+
+    def failed(self, failure: Failure) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        track, distance = _driven(failure.evidence)
+        self.write(Key.SURVEY, survey.with_drive(track, distance))
+        self._record(failure.code, distance)
+        return super().failed(failure)
+
+    def _record(self, result: str, distance: float) -> None:
+        target: Target = self.read(Key.TARGET)
+        self.services.journal.record(
+            "drive",
+            goal_id=target.goal_id,
+            purpose=target.purpose,
+            x=target.x,
+            y=target.y,
+            result=result,
+            distance=distance,
+            seconds=self.services.clock.now() - self._began,
+        )
+
+
+class TargetHere(Leaf):
+    """Names a place of which the survey knows that the base has stood there; a subclass says which."""
+
+    writes = (Key.SURVEY, Key.TARGET)
+    purpose = "here"
+
+    def place(self, survey: Survey) -> tuple[float, float, float | None]:
+        raise NotImplementedError(type(self).__name__)
+
+    def tick_once(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        x, y, yaw = self.place(survey)
+        survey, goal_id = survey.next_goal()
+        self.write(Key.SURVEY, survey)
+        self.write(Key.TARGET, Target(goal_id, x, y, yaw, self.purpose))
+        self.say(f"({x:.1f}, {y:.1f})")
+        return Status.SUCCESS
+
+
+class TargetNearby(TargetHere):
+    """Half a metre back along the way the base came: for a scan that does not work at this very spot."""
+
+    purpose = "nearby"
+    distance = 0.5
+
+    def place(self, survey: Survey) -> tuple[float, float, float | None]:
+        return back_along(survey, self.distance)
+
+
+class TargetHalfWayBack(TargetHere):
+    """Half-way back to the last registered scan, where a bridging scan sees both sides."""
+
+    purpose = "bridge"
+
+    def place(self, survey: Survey) -> tuple[float, float, float | None]:
+        return back_along(survey, max(survey.driven / 2, TargetNearby.distance))
+
+
+class TargetStart(TargetHere):
+    """Where the mission began."""
+
+    purpose = "start"
+
+    def place(self, survey: Survey) -> tuple[float, float, float | None]:
+        if not survey.scans:
+            raise FailureError("NAV_NO_MAP", "nothing was registered, so the start has no place in a map")
+        return survey.scans[0].base_pose
+
+
+def back_along(survey: Survey, distance: float) -> tuple[float, float, float | None]:
+    """The place ``distance`` metres back along the track, any heading; the track's start if it is shorter.
+
+    Raises:
+        FailureError: ``NAV_NO_TRACK`` if the base has not moved yet.
+    """
+    if len(survey.track) < 2:
+        raise FailureError("NAV_NO_TRACK", "the base has not moved yet, so there is no way back that is known free")
+    left = distance
+    for (x, y, _), (x_before, y_before, _) in zip(survey.track[:0:-1], survey.track[-2::-1], strict=True):
+        step = ((x - x_before) ** 2 + (y - y_before) ** 2) ** 0.5
+        if step >= left > 0:
+            share = left / step
+            return x + share * (x_before - x), y + share * (y_before - y), None
+        left -= step
+    return survey.track[0][0], survey.track[0][1], None
+
+
+def _driven(evidence: Mapping[str, object]) -> tuple[tuple[tuple[float, float, float], ...], float]:
+    """Track and distance out of a drive that failed half-way."""
+    track = evidence.get("track") or ()
+    distance = evidence.get("distance") or 0.0
+    assert isinstance(track, list | tuple) and isinstance(distance, int | float)
+    return tuple((float(x), float(y), float(yaw)) for x, y, yaw in track), float(distance)

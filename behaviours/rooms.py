@@ -1,0 +1,114 @@
+"""Leaves that begin and end rooms and walk the graph of rooms and doors."""
+
+from dataclasses import replace
+
+from py_trees.common import Status
+
+from behaviours.keys import Key
+from behaviours.leaf import Leaf
+from behaviours.mapping import poses
+from behaviours.scanning import StageLeaf
+from behaviours.survey import Survey, Target
+from perception import building as plan
+from perception.failure import Failure, FailureError
+from perception.findings import DoorFindings
+
+
+class BeginRoom(Leaf):
+    """Opens the books of a room: behind the door the base stands in, or around the start."""
+
+    reads = (Key.DOOR,)
+    writes = (Key.SURVEY, Key.ROOM, Key.AVOID)
+
+    def tick_once(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        door_id = self.read(Key.DOOR)
+        seed = (0.0, 0.0) if door_id is None else plan.beyond(survey.building.door_from_known_side(door_id), 0.8)
+        building, room_id = survey.building.add_room(seed, door_id)
+        self.write(Key.SURVEY, replace(survey, building=building))
+        self.write(Key.ROOM, room_id)
+        self.write(Key.AVOID, ())
+        self.services.journal.record("room_started", room_id=room_id, entry_door=door_id, seed=seed)
+        self.say(room_id)
+        return Status.SUCCESS
+
+
+class GiveUpRoom(Leaf):
+    """Ends a room that cannot be finished, with the failure that stood in the way as its reason."""
+
+    reads = (Key.ROOM, Key.FAILURE)
+    writes = (Key.SURVEY,)
+
+    def tick_once(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        failure: Failure | None = self.read(Key.FAILURE)
+        reason = failure.code if failure else "UNKNOWN"
+        room_id = self.read(Key.ROOM)
+        self.write(Key.SURVEY, replace(survey, building=survey.building.end_room(room_id, "partial", reason)))
+        self.services.journal.record("room_ended", room_id=room_id, status="partial", reason=reason)
+        self.say(f"{room_id} stays partial: {failure}")
+        return Status.SUCCESS
+
+
+class FindDoors(StageLeaf):
+    """Section 2: open passages in the walls of the room, by what the beams did at the wall planes."""
+
+    reads = (Key.ROOM,)
+    writes = (Key.SURVEY,)
+    stage = "find_doors"
+
+    def arguments(self) -> dict[str, object]:
+        survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
+        if room_id not in survey.shapes:
+            raise FailureError("DOORS_NO_ROOM", f"{room_id} has no contour, so no walls to look for doors in")
+        return {"room_id": room_id, "shape": survey.shapes[room_id], "scans": poses(survey.scans_near(room_id))}
+
+    def finish(self, value: DoorFindings) -> Status:
+        survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
+        building = survey.building.observe_doors(room_id, value.doors, survey.shapes)
+        self.write(Key.SURVEY, replace(survey, building=building))
+        self.services.journal.record(
+            "doors",
+            room_id=room_id,
+            found=[plan.door_to_dict(door) for door in value.doors],
+            refused=[{**plan.door_to_dict(door), "gate": gate} for door, gate in value.refused],
+        )
+        self.say(f"{len(value.doors)} open, {len(value.refused)} openings turned down")
+        return Status.SUCCESS
+
+
+class ChooseDoor(Leaf):
+    """Picks the next unexplored open door and the pose under it; fails with NO_DOOR_LEFT when the building is done."""
+
+    reads = (Key.ROOM,)
+    writes = (Key.SURVEY, Key.DOOR, Key.TARGET)
+
+    def tick_once(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        if len(survey.building.rooms) >= self.services.settings.building.max_rooms:
+            raise FailureError("MAX_ROOMS", f"{len(survey.building.rooms)} rooms, the most this mission may have")
+        edge = survey.building.next_door(survey.position, self.read(Key.ROOM))
+        if edge is None:
+            raise FailureError("NO_DOOR_LEFT", "no unexplored door is left")
+        survey, goal_id = survey.next_goal()
+        pose = plan.door_pose(survey.building.door_from_known_side(edge.id))
+        self.write(Key.SURVEY, survey)
+        self.write(Key.DOOR, edge.id)
+        self.write(Key.TARGET, Target(goal_id, *pose, "door"))
+        self.say(f"{edge.id}, {edge.door.net_width:.2f} m wide, at ({edge.door.x:.1f}, {edge.door.y:.1f})")
+        return Status.SUCCESS
+
+
+class DeferDoor(Leaf):
+    """Leaves a door that cannot be passed for later; it is tried once more when no other is left."""
+
+    reads = (Key.DOOR, Key.FAILURE)
+    writes = (Key.SURVEY,)
+
+    def tick_once(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        failure: Failure | None = self.read(Key.FAILURE)
+        building = survey.building.defer(self.read(Key.DOOR), failure.code if failure else "UNKNOWN")
+        self.write(Key.SURVEY, replace(survey, building=building))
+        self.say(f"{self.read(Key.DOOR)} is left for later")
+        return Status.SUCCESS

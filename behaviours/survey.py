@@ -1,0 +1,144 @@
+"""What the mission knows of the building: scans with poses, rooms with their cycles, doors. Small, immutable values."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from drivers.interfaces import ScanReceipt
+from perception.building import Building
+from perception.findings import Alignment, LabelCounts, Registration, RoomShape
+from perception.stopping import StopDecision
+from perception.transforms import Matrix, inverse, to_planar
+
+PlanarPose = tuple[float, float, float]
+"""x, y in metres and yaw in radians, map frame."""
+
+
+@dataclass(frozen=True)
+class CurrentScan:
+    """The scan of this cycle on its way to a pose; each stage adds what it found.
+
+    Args:
+        scan_id: name of the scan.
+        map_from_base_guess: 4x4, where the base believed it stood, None for the very first scan.
+        guess_distance: metres driven since the last registered scan, which the guess's error grows with.
+    """
+
+    scan_id: str
+    odom_from_base: Matrix
+    map_from_base_guess: Matrix | None
+    guess_distance: float
+    receipt: ScanReceipt | None = None
+    base_from_scanner: Matrix | None = None
+    points: int = 0
+    alignment: Alignment | None = None
+
+
+@dataclass(frozen=True)
+class ScanRecord:
+    """A registered scan."""
+
+    scan_id: str
+    room_id: str
+    map_from_scanner: Matrix
+    map_from_base: Matrix
+    odom_from_base: Matrix
+    points: int
+    receipt: ScanReceipt
+    alignment: Alignment
+    registration: Registration
+
+    @property
+    def base_pose(self) -> PlanarPose:
+        return to_planar(self.map_from_base)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One cycle of a room: the scan, the labels after it, and what was decided."""
+
+    scan_id: str
+    counts: LabelCounts
+    decision: StopDecision
+
+
+@dataclass(frozen=True)
+class Target:
+    """A place to drive to, and what for."""
+
+    goal_id: str
+    x: float
+    y: float
+    yaw: float | None
+    purpose: str
+
+
+@dataclass(frozen=True)
+class Avoided:
+    """A view given up until a time (mission seconds), because the way to it was blocked."""
+
+    x: float
+    y: float
+    until: float
+
+
+@dataclass(frozen=True)
+class Survey:
+    """All of it. Every change gives a new value; leaves write it back to the blackboard."""
+
+    building: Building = field(default_factory=Building)
+    scans: tuple[ScanRecord, ...] = ()
+    set_aside: tuple[CurrentScan, ...] = ()
+    shapes: Mapping[str, RoomShape] = field(default_factory=dict)
+    cycles: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
+    track: tuple[PlanarPose, ...] = ()
+    driven: float = 0.0
+    map_id: str | None = None
+    scans_ordered: int = 0
+    goals_given: int = 0
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """Where the base stands, x and y; the origin before the first scan."""
+        return self.track[-1][:2] if self.track else (0.0, 0.0)
+
+    def scan(self, scan_id: str) -> ScanRecord:
+        return next(scan for scan in self.scans if scan.scan_id == scan_id)
+
+    def scans_near(self, room_id: str) -> tuple[ScanRecord, ...]:
+        """Scans of a room and of the rooms that a door joins it with: those that can have seen into it."""
+        rooms = {room_id, *self.building.neighbours(room_id)}
+        return tuple(scan for scan in self.scans if scan.room_id in rooms)
+
+    def room_scans(self, room_id: str) -> tuple[ScanRecord, ...]:
+        return tuple(scan for scan in self.scans if scan.room_id == room_id)
+
+    def with_scan(self, scan: ScanRecord) -> "Survey":
+        """A registered scan more; the base is known to stand there now."""
+        return replace(
+            self,
+            scans=(*self.scans, scan),
+            track=(*self.track, scan.base_pose),
+            driven=0.0,
+        )
+
+    def with_earlier_scan(self, scan: ScanRecord) -> "Survey":
+        """A scan that was set aside and found its place: before the newest, at which the base still stands."""
+        return replace(self, scans=(*self.scans[:-1], scan, *self.scans[-1:]))
+
+    def with_shape(self, room_id: str, shape: RoomShape) -> "Survey":
+        return replace(self, shapes={**self.shapes, room_id: shape})
+
+    def with_drive(self, track: tuple[PlanarPose, ...], distance: float) -> "Survey":
+        return replace(self, track=(*self.track, *track), driven=self.driven + distance)
+
+    def next_goal(self) -> tuple["Survey", str]:
+        """A new goal's name, never given before."""
+        number = self.goals_given + 1
+        return replace(self, goals_given=number), f"G{number:03d}"
+
+    def odometry_guess(self, odom_from_base: Matrix) -> Matrix | None:
+        """Where odometry alone puts the base since the last registered scan; None before the first."""
+        if not self.scans:
+            return None
+        last = self.scans[-1]
+        return last.map_from_base @ inverse(last.odom_from_base) @ odom_from_base

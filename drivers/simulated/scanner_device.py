@@ -1,0 +1,125 @@
+"""The simulated scanner as its agent sees it: scans by name that take their time, and sometimes go wrong."""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.interfaces import ScannerInfo, ScanSettings
+from drivers.jobs import Done, Failed, Outcome, Running
+from drivers.simulated.clock import Clock
+from drivers.simulated.plant import Stance
+from drivers.simulated.scanner import SimulatedScanner
+from drivers.simulated.scenario import ScannerFaults
+from drivers.simulated.truth_log import TruthLog
+from perception.failure import Failure, FailureError
+from perception.scan import Scan
+from perception.transforms import Matrix
+
+_PROTOCOL = 1
+_KEPT = 3
+_TRUNCATED_SHARE = 0.1
+
+
+@dataclass
+class _Taking:
+    """A scan under way: when it began, and what it will be (None for one that never answers)."""
+
+    started: float
+    work: Future[Scan] | None
+    aborted: bool = False
+
+
+class SimulatedScannerDevice:
+    """A :class:`~drivers.devices.ScannerDevice` in a world.
+
+    A scan shows the building as it is when the scan begins, even if the base moves meanwhile; that it moved is for the
+    base's odometry to tell, as with a real scanner, and the truth log has it.
+
+    Args:
+        scanner: casts the rays.
+        stance: asks where the base truly stands; raises ``AGENT_UNREACHABLE`` where nobody can tell.
+        clock: a scan takes ``profile.duration`` of its seconds.
+        faults: scripted.
+        truth: log for the evaluation.
+    """
+
+    def __init__(
+        self,
+        scanner: SimulatedScanner,
+        stance: Callable[[], Stance],
+        clock: Clock,
+        faults: ScannerFaults | None = None,
+        truth: TruthLog | None = None,
+    ) -> None:
+        self._scanner = scanner
+        self._stance = stance
+        self._clock = clock
+        self._truth = truth or TruthLog()
+        faults = faults or ScannerFaults()
+        self._script = (
+            ["fail"] * faults.fail_first + ["hang"] * faults.hang_first + ["truncate"] * faults.truncate_first
+        )
+        self._takings: dict[str, _Taking] = {}
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="scanner")
+
+    def info(self) -> ScannerInfo:
+        return ScannerInfo(self._scanner.profile.model, f"SIM-{self._scanner.seed:04d}", _PROTOCOL)
+
+    def start(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> None:
+        """Begin a scan; nothing happens where one of this name is under way or done. One that failed is taken anew."""
+        known = self.status(scan_id)
+        if known is not None and not isinstance(known, Failed):
+            return
+        fault = self._script.pop(0) if self._script else ""
+        work = None if fault == "hang" else self._pool.submit(self._take, scan_id, settings, odom_from_base, fault)
+        self._takings[scan_id] = _Taking(self._clock.now(), work)
+        # A scan is up to a hundred megabytes; the agent has stored the older ones long ago.
+        for old in list(self._takings)[:-_KEPT]:
+            del self._takings[old]
+
+    def status(self, scan_id: str) -> Outcome[Scan] | None:
+        """How far a scan is; None for a name that is not known."""
+        taking = self._takings.get(scan_id)
+        if taking is None:
+            return None
+        if taking.aborted:
+            return Failed(Failure("CANCELLED", f"scan {scan_id} was aborted"))
+        fraction = (self._clock.now() - taking.started) / self._scanner.profile.duration
+        if fraction < 1.0:
+            return Running(fraction, "scanning")
+        if taking.work is None or not taking.work.done():
+            return Running(1.0, "reading out")
+        try:
+            return Done(taking.work.result())
+        except FailureError as error:
+            return Failed(error.failure)
+
+    def abort(self, scan_id: str) -> None:
+        """Give a scan up; harmless for one that is not under way."""
+        if isinstance(self.status(scan_id), Running):
+            self._takings[scan_id].aborted = True
+
+    def _take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix, fault: str) -> Scan:
+        if fault == "fail":
+            raise FailureError("SCAN_FAILED", f"the scanner reported an error during {scan_id}", scan_id=scan_id)
+        stance, started = self._stance(), self._clock.now()
+        scan = self._scanner.cast(
+            stance.map_from_base, settings.step, scan_id, odom_from_base, stance.tilt, stance.bodies
+        )
+        self._truth.write(
+            "scan",
+            started,
+            scan_id=scan_id,
+            world_from_scanner=self._scanner.map_from_scanner(stance.map_from_base, stance.tilt),
+            world_from_base=stance.map_from_base,
+            moving=stance.moving,
+        )
+        return _truncated(scan) if fault == "truncate" else scan
+
+
+def _truncated(scan: Scan) -> Scan:
+    """What is left when the transfer inside the instrument breaks off."""
+    kept = int(len(scan.points) * _TRUNCATED_SHARE)
+    return replace(scan, points=scan.points[:kept], intensity=scan.intensity[:kept], beam=np.copy(scan.beam[:kept]))

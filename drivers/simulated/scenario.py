@@ -1,0 +1,51 @@
+"""What goes wrong, and when: scripted people and faults of one simulated mission."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from drivers.simulated.bodies import Track
+
+
+@dataclass(frozen=True)
+class ScannerFaults:
+    """Faults of the scanner.
+
+    Args:
+        fail_first: so many scans end with ``SCAN_FAILED``.
+        hang_first: so many scans after those never end.
+        truncate_first: so many scans after those keep only a tenth of their points.
+    """
+
+    fail_first: int = 0
+    hang_first: int = 0
+    truncate_first: int = 0
+
+
+@dataclass(frozen=True)
+class BaseFaults:
+    """Faults of the base.
+
+    Args:
+        slip_at: true distances (m) at which the wheels spin, each half a metre that is not driven.
+        emergency_stop: (from, to) in simulated seconds while the red button is pressed.
+    """
+
+    slip_at: tuple[float, ...] = ()
+    emergency_stop: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything scripted about a mission; nothing by default."""
+
+    tracks: tuple[Track, ...] = ()
+    scanner: ScannerFaults = ScannerFaults()
+    base: BaseFaults = BaseFaults()
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read a scenario from YAML, keys as in :class:`Scenario`; raises ``msgspec.ValidationError``."""
+    return msgspec.convert(yaml.safe_load(path.read_text()) or {}, Scenario)

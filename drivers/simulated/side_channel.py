@@ -1,0 +1,89 @@
+"""The one place where truth crosses between the two simulated agents.
+
+A real scanner stands on a real base; the simulated ones are two processes, so the scanner must ask the base where it
+truly stands before it can cast a ray. Nothing but the simulated scanner may ask: the executive knows no such endpoint,
+and what it is told holds no truth.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import msgspec
+import zmq
+
+from drivers.simulated.bodies import Body
+from drivers.simulated.plant import Stance
+from drivers.wire.sockets import Sockets
+from perception import transforms
+from perception.failure import FailureError
+
+log = logging.getLogger(__name__)
+
+_POLL_MS = 50
+_TRY_MS = 500
+
+
+class _Told(msgspec.Struct, frozen=True):
+    """A stance as it travels, under the number of the question that it answers."""
+
+    question: int
+    pose: tuple[float, float, float]
+    tilt: tuple[float, float]
+    bodies: tuple[Body, ...]
+    moving: bool
+
+
+class StanceServer:
+    """Answers, in a thread of the base's process, where the base stands.
+
+    Args:
+        stance: tells the truth as of now; must not block.
+        endpoint: loopback address to listen on; port ``*`` takes any, see :attr:`endpoint`.
+    """
+
+    def __init__(self, stance: Callable[[], Stance], endpoint: str = "tcp://127.0.0.1:*") -> None:
+        self._stance = stance
+        self._socket, self.endpoint = Sockets().router(endpoint)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="stance", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering. Harmless when closed."""
+        self._closing.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        with self._socket as socket:
+            while not self._closing.is_set():
+                if not socket.poll(_POLL_MS):
+                    continue
+                *route, frame = socket.recv_multipart()
+                try:
+                    question = msgspec.msgpack.decode(frame, type=int)
+                    socket.send_multipart([*route, msgspec.msgpack.encode(self._tell(question))], zmq.NOBLOCK)
+                except (msgspec.DecodeError, zmq.ZMQError) as error:
+                    log.debug("a question for the stance was not answered: %s", error)
+
+    def _tell(self, question: int) -> _Told:
+        stance = self._stance()
+        return _Told(question, transforms.to_planar(stance.map_from_base), stance.tilt, stance.bodies, stance.moving)
+
+
+def ask_stance(endpoint: str, timeout: float = 5.0) -> Stance:
+    """Where the base truly stands, asked anew until ``timeout`` real seconds are over; raises ``AGENT_UNREACHABLE``."""
+    deadline = time.monotonic() + timeout
+    question = 0
+    with Sockets().dealer(endpoint) as socket:
+        while time.monotonic() < deadline:
+            question += 1
+            socket.send(msgspec.msgpack.encode(question))
+            if not socket.poll(_TRY_MS):
+                continue
+            told = msgspec.msgpack.decode(socket.recv(), type=_Told)
+            # A late answer to an earlier question tells where the base was, not where it is.
+            if told.question == question:
+                return Stance(transforms.planar(*told.pose), told.tilt, told.bodies, told.moving)
+    raise FailureError("AGENT_UNREACHABLE", f"no simulated base answers at {endpoint}", endpoint=endpoint)

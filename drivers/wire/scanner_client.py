@@ -1,0 +1,109 @@
+"""A scanner at the other end of the wire."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from drivers.interfaces import ScannerInfo, ScanReceipt, ScanSettings
+from drivers.jobs import BackgroundJob, Job, Progress
+from drivers.messages import (
+    PROTOCOL,
+    Abort,
+    Body,
+    Identify,
+    Ok,
+    Pending,
+    Pose,
+    Release,
+    ScanDone,
+    ScannerIdentity,
+    ScanStatus,
+    Take,
+    Unknown,
+)
+from drivers.wire.client import Link, Patience
+from drivers.wire.endpoints import Endpoints
+from drivers.wire.sockets import Sockets
+from drivers.wire.transfer import fetch
+from perception.failure import FailureError
+from perception.transforms import Matrix
+
+POLL_S = 0.05
+PARTING = Patience(first=0.5, longest=1.0, total=3.0)
+"""For the last words of a job that is over already."""
+
+
+class ScannerClient:
+    """:class:`drivers.interfaces.Scanner` over ZeroMQ; each job has a thread and a socket of its own.
+
+    Args:
+        endpoints: ``control`` and ``bulk`` of the scanner's agent.
+        patience: how long a silent agent is asked again before ``AGENT_UNREACHABLE``.
+    """
+
+    def __init__(self, endpoints: Endpoints, patience: Patience | None = None, sockets: Sockets | None = None) -> None:
+        self._endpoints = endpoints
+        self._patience = patience or Patience()
+        self._sockets = sockets or Sockets()
+
+    def info(self) -> Job[ScannerInfo]:
+        """See :meth:`drivers.interfaces.Scanner.info`."""
+
+        def run(progress: Progress) -> ScannerInfo:
+            with self._control(progress) as link:
+                identity = link.ask(Identify(), ScannerIdentity)
+            return ScannerInfo(identity.model, identity.serial, PROTOCOL)
+
+        return BackgroundJob(run, "scanner info")
+
+    def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> Job[ScanReceipt]:
+        """See :meth:`drivers.interfaces.Scanner.take`. An agent that restarted meanwhile is asked to begin again."""
+
+        def run(progress: Progress) -> ScanReceipt:
+            order = Take(scan_id, settings.step, Pose.of(odom_from_base))
+            try:
+                with self._control(progress) as link:
+                    return self._follow(link, order, progress)
+            except FailureError:
+                if progress.cancelled:
+                    self._abort(scan_id)
+                raise
+
+        return BackgroundJob(run, f"take {scan_id}")
+
+    def fetch(self, receipt: ScanReceipt, destination: Path) -> Job[Path]:
+        """See :meth:`drivers.interfaces.Scanner.fetch`. Once it is safe here, the agent may forget the data."""
+
+        def run(progress: Progress) -> Path:
+            with Link(self._sockets, self._endpoints.bulk, self._patience, progress) as link:
+                path = fetch(link, receipt, destination, self._patience, progress)
+            self._release(receipt)
+            return path
+
+        return BackgroundJob(run, f"fetch {receipt.scan_id}")
+
+    def _follow(self, link: Link, order: Take, progress: Progress) -> ScanReceipt:
+        status: Body = link.ask(order, (Pending, ScanDone))
+        while True:
+            match status:
+                case ScanDone(receipt):
+                    return receipt.value()
+                case Pending(fraction, note):
+                    progress.report(fraction, note)
+                    progress.wait(POLL_S)
+                    status = link.ask(ScanStatus(order.scan_id), (Pending, ScanDone, Unknown))
+                case _:
+                    status = link.ask(order, (Pending, ScanDone))
+
+    def _abort(self, scan_id: str) -> None:
+        with Link(self._sockets, self._endpoints.control, PARTING, Progress()) as link:
+            link.ask(Abort(scan_id), Ok)
+
+    def _release(self, receipt: ScanReceipt) -> None:
+        with (
+            suppress(FailureError),  # the scan is here; what stays there costs room, not truth
+            Link(self._sockets, self._endpoints.control, PARTING, Progress()) as link,
+        ):
+            link.ask(Release(receipt.scan_id, receipt.sha256), Ok)
+
+    def _control(self, progress: Progress) -> Link:
+        return Link(self._sockets, self._endpoints.control, self._patience, progress)

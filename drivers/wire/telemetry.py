@@ -1,0 +1,113 @@
+"""The base's state by PUB/SUB: nobody asks, nothing queues, the newest wins."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import zmq
+
+from drivers.devices import BaseTelemetry
+from drivers.interfaces import BaseState
+from drivers.messages import PROTOCOL, Pose, Telemetry
+from drivers.wire.codec import Codec, UndecodableError, encode
+
+log = logging.getLogger(__name__)
+
+PERIOD_S = 0.05
+_POLL_MS = 50
+
+_telemetry: Codec[Telemetry] = Codec(Telemetry)
+
+
+class Publisher:
+    """Publishes what ``sample`` returns every ``period`` seconds in a thread of its own; owns the bound PUB."""
+
+    def __init__(
+        self, socket: zmq.Socket, sample: Callable[[], BaseTelemetry], boot: str, period: float = PERIOD_S
+    ) -> None:
+        self._socket = socket
+        self._sample = sample
+        self._boot = boot
+        self._period = period
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop publishing and close the socket. Harmless when closed."""
+        self._closing.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        sequence = 0
+        with self._socket as socket:
+            while not self._closing.wait(self._period):
+                sequence += 1
+                try:
+                    socket.send(encode(self._message(sequence)), zmq.NOBLOCK)
+                except Exception:
+                    # A silence is what the other side notices; a dead publisher would never speak again.
+                    log.exception("no telemetry this time")
+
+    def _message(self, sequence: int) -> Telemetry:
+        now = self._sample()
+        return Telemetry(
+            PROTOCOL,
+            self._boot,
+            sequence,
+            Pose.of(now.odom_from_base),
+            None if now.map_from_base is None else Pose.of(now.map_from_base),
+            bool(now.moving),
+            bool(now.emergency_stop),
+            min(max(float(now.battery), 0.0), 1.0),
+            now.activity,
+        )
+
+
+class Listener:
+    """Keeps the newest telemetry, received in a thread of its own; owns the connected SUB."""
+
+    def __init__(self, socket: zmq.Socket) -> None:
+        self._socket = socket
+        self._newest: tuple[Telemetry, float] | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
+        self._thread.start()
+
+    def state(self) -> BaseState | None:
+        """The newest state with its age by this side's monotonic clock; None before the first."""
+        newest = self._newest
+        if newest is None:
+            return None
+        message, received = newest
+        return BaseState(
+            message.odom_from_base.matrix(),
+            None if message.map_from_base is None else message.map_from_base.matrix(),
+            message.moving,
+            message.emergency_stop,
+            message.battery,
+            message.activity,
+            time.monotonic() - received,
+        )
+
+    def close(self) -> None:
+        """Stop listening and close the socket. Harmless when closed."""
+        self._closing.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        with self._socket as socket:
+            while not self._closing.is_set():
+                if socket.poll(_POLL_MS):
+                    self._accept(socket.recv())
+
+    def _accept(self, frame: bytes) -> None:
+        try:
+            message = _telemetry.decode(frame)
+        except UndecodableError as error:
+            log.warning("telemetry that is none: %s", error)
+            return
+        known = self._newest and self._newest[0]
+        if known is None or known.boot != message.boot or known.sequence < message.sequence:
+            self._newest = message, time.monotonic()

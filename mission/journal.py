@@ -1,0 +1,70 @@
+"""The event log: one JSON object a line, in the order things happened, readable while the mission runs."""
+
+import json
+import threading
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from behaviours.services import Clock
+
+
+class JsonLines:
+    """Appends events to ``events.jsonl``; each line is on its way to the disk before the next tick.
+
+    Args:
+        path: the file, made if absent.
+        clock: gives ``t`` in mission seconds.
+        watch: also called with each event, for a display.
+    """
+
+    def __init__(self, path: Path, clock: Clock, watch: Callable[[dict[str, Any]], None] | None = None) -> None:
+        self._clock = clock
+        self._watch = watch
+        self._lock = threading.Lock()
+        self._stream = path.open("a", encoding="utf-8", buffering=1)
+
+    def record(self, kind: str, /, **figures: object) -> None:
+        event = {
+            "t": round(self._clock.now(), 3),
+            "utc": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "kind": kind,
+            **figures,
+        }
+        line = json.dumps(event, default=plain)
+        with self._lock:
+            self._stream.write(line + "\n")
+        if self._watch is not None:
+            self._watch(event)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+def plain(value: Any) -> Any:
+    """JSON for the few types that figures come in."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, tuple | set | frozenset):
+        return list(value)
+    raise TypeError(f"a figure of type {type(value).__name__} has no place in the event log")
+
+
+def read_events(path: Path) -> list[dict[str, Any]]:
+    """All whole lines of an event log; a last line that was cut off is left out."""
+    if not path.exists():
+        return []
+    events = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            events.append(json.loads(line))
+        except json.JSONDecodeError:
+            break
+    return events

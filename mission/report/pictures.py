@@ -1,0 +1,253 @@
+"""The pictures of a run, drawn from its folder into ``pictures/``; what the run lacks is not drawn."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mission.report.canvas import ACCENT, BAD, GOOD, INK, MUTED, PAPER, SCANS, TINTS
+from mission.report.canvas import canvas, crop, draw_grid, extent_of, grid_extent, legend, rgb
+from mission.report.run import Record, Run, grid_of
+from perception import transforms
+from perception.grids import Cell, Grid, Label
+from perception.scan import Scan
+
+_CLOUD_CELL = 0.02
+"""Cell of the top view, metres."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the report: its file, what it shows, and the room and cycle it belongs to, if any."""
+
+    path: Path
+    title: str
+    kind: str
+    room: str = ""
+    cycle: str = ""
+
+
+def draw_all(run: Run) -> list[Picture]:
+    """Draw every picture the run has data for."""
+    steps: tuple[Callable[[Run], list[Picture]], ...] = (_plan, _robot_map, _cloud, _views, _ceilings, _flatness)
+    return [picture for step in steps for picture in step(run)]
+
+
+def _target(run: Run, name: str) -> Path:
+    return run.folder / "pictures" / f"{name}.png"
+
+
+# --- the building ---------------------------------------------------------------------------------------------------
+
+
+def _plan(run: Run) -> list[Picture]:
+    contours = [np.asarray(room["contour"], float) for room in run.rooms if room.get("contour")]
+    stations = _stations(run)
+    if not contours and not len(stations):
+        return []
+    path = _target(run, "plan")
+    with canvas(path, extent_of(np.concatenate([*contours, stations]))) as axes:
+        for number, room in enumerate(run.rooms):
+            _draw_room(axes, room, TINTS[number % len(TINTS)])
+        for door in run.doors:
+            _draw_door(axes, door)
+        _draw_route(axes, run, stations)
+    return [Picture(path, "Rooms, doors and stations in the order in which they were taken", "plan")]
+
+
+def _stations(run: Run) -> NDArray[np.float64]:
+    """Position (x, y) of each scan, ``(N, 2)``."""
+    return np.array([np.asarray(scan["map_from_scanner"], float)[:2, 3] for scan in run.scans]).reshape(-1, 2)
+
+
+def _draw_room(axes: Any, room: Record, tint: str) -> None:
+    contour = np.asarray(room.get("contour") or np.zeros((0, 2)), float)
+    if len(contour) < 3:
+        return
+    complete = room.get("status") == "complete"
+    axes.fill(*contour.T, facecolor=tint, edgecolor=INK, linewidth=1.6, hatch=None if complete else "////", zorder=2)
+    name = room.get("name") or room["id"]
+    x, y = _inner_point(contour)
+    axes.text(x, y, name, ha="center", va="center", fontsize=11, color=INK, zorder=6, alpha=0.75, weight="bold")
+
+
+def _inner_point(contour: NDArray[np.float64]) -> tuple[float, float]:
+    from shapely import Polygon
+
+    polygon = Polygon(contour).buffer(0)
+    point = polygon.centroid if polygon.contains(polygon.centroid) else polygon.representative_point()
+    return float(point.x), float(point.y)
+
+
+def _draw_door(axes: Any, door: Record) -> None:
+    normal = np.asarray(door.get("normal") or (1.0, 0.0), float)
+    middle = np.array([door["x"], door["y"]], float)
+    half = np.array([-normal[1], normal[0]]) * float(door.get("net_width") or door.get("width") or 0.9) / 2
+    passed = sum(room is not None for room in door.get("rooms") or ()) == 2
+    ends = np.stack([middle - half, middle + half])
+    axes.plot(*ends.T, color=PAPER, linewidth=6, solid_capstyle="butt", zorder=3)
+    axes.plot(*ends.T, color=GOOD if passed else BAD, linewidth=3, solid_capstyle="butt", zorder=4)
+
+
+def _draw_route(axes: Any, run: Run, stations: NDArray[np.float64]) -> None:
+    goals = [e for e in run.events_of("drive") if e.get("x") is not None and e.get("y") is not None]
+    if len(stations) > 1:
+        axes.plot(*stations.T, color=ACCENT, linewidth=1.0, alpha=0.55, linestyle=(0, (4, 3)), zorder=5)
+    for event in goals:
+        if not _succeeded(event):
+            axes.plot(event["x"], event["y"], marker="x", color=BAD, markersize=6, zorder=7)
+    for number, (x, y) in enumerate(stations, 1):
+        axes.plot(x, y, "o", markersize=13, color=ACCENT, markeredgecolor=PAPER, markeredgewidth=1.2, zorder=8)
+        axes.text(x, y - 0.012, str(number), ha="center", va="center", fontsize=7.5, color=PAPER, weight="bold", zorder=9)
+
+
+def _succeeded(drive: Record) -> bool:
+    return str(drive.get("result") or "").lower() in ("", "ok", "done", "success", "succeeded", "reached", "arrived")
+
+
+def _robot_map(run: Run) -> list[Picture]:
+    grids = [grid_of(arrays) for path, arrays in run.arrays("maps/*.npz") if not path.stem.endswith("_evidence")]
+    grid = grids[-1] if grids else None
+    if grid is None:
+        return []
+    known = crop(grid, grid.data != Cell.UNKNOWN)
+    path = _target(run, "robot_map")
+    with canvas(path, grid_extent(known)) as axes:
+        draw_grid(axes, known, rgb(PAPER, INK, "#cbd2d9"))
+        _draw_route(axes, run, _stations(run))
+        legend(axes, [(PAPER, "free"), (INK, "obstacle"), ("#cbd2d9", "unknown")])
+    return [Picture(path, "The robot map M(t) at the end", "robot_map")]
+
+
+# --- the cloud ------------------------------------------------------------------------------------------------------
+
+
+def _cloud(run: Run) -> list[Picture]:
+    layers = [_top_view_points(run, record, pose, scan) for record, pose, scan in run.clouds()]
+    everything = np.concatenate([np.zeros((0, 2), np.float32), *layers])
+    if not len(everything):
+        return []
+    low, high = np.percentile(everything, [0.2, 99.8], axis=0)
+    contours = [np.asarray(room["contour"], float) for room in run.rooms if room.get("contour")]
+    if contours:
+        corners = np.concatenate(contours)
+        low, high = corners.min(axis=0) - 1.0, corners.max(axis=0) + 1.0
+    image = _blend(layers, low, high)
+    path = _target(run, "cloud_top")
+    with canvas(path, (low[0], low[1], high[0], high[1])) as axes:
+        axes.imshow(image, origin="lower", extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased")
+        for number, (x, y) in enumerate(_stations(run)):
+            axes.plot(x, y, "o", markersize=7, color=SCANS[number % len(SCANS)], markeredgecolor=INK, zorder=5)
+    return [Picture(path, "The cloud P(t) from above without floor and ceiling, one colour a scan", "cloud")]
+
+
+def _top_view_points(run: Run, record: Record, pose: NDArray[np.float64], scan: Scan) -> NDArray[np.float32]:
+    """Positions ``(N, 2)`` of the points between floor and ceiling of the scan's room."""
+    points = transforms.apply(pose, scan.points)
+    room = next((room for room in run.rooms if room["id"] == record.get("room_id")), {})
+    floor = float(room.get("floor_z") or 0.0)
+    ceiling = float(room.get("ceiling_z") or floor + 2.6)
+    return points[(points[:, 2] > floor + 0.15) & (points[:, 2] < ceiling - 0.25), :2]
+
+
+def _blend(layers: list[NDArray[np.float32]], low: NDArray, high: NDArray) -> NDArray[np.float64]:
+    """Top view ``(rows, columns, 3)``: colours of the scans mixed by their points, darker where there are more."""
+    cell = max(_CLOUD_CELL, float((high - low).max()) / 2500)
+    columns, rows = (int(n) for n in np.ceil((high - low) / cell))
+    total, mixed = np.zeros((rows, columns)), np.zeros((rows, columns, 3))
+    for number, points in enumerate(layers):
+        place = np.floor((points - low) / cell).astype(int)
+        inside = np.all((place >= 0) & (place < (columns, rows)), axis=1)
+        count = np.bincount(place[inside, 1] * columns + place[inside, 0], minlength=rows * columns)
+        weight = np.log1p(count.reshape(rows, columns))
+        total += weight
+        mixed += weight[..., None] * rgb(SCANS[number % len(SCANS)])[0]
+    colour = mixed / np.maximum(total, 1e-9)[..., None]
+    ink = np.clip(total / max(1e-9, float(np.percentile(total[total > 0], 97))), 0, 1)[..., None] ** 0.6
+    result: NDArray[np.float64] = 1 - ink * (1 - colour)
+    return result
+
+
+# --- room by room ---------------------------------------------------------------------------------------------------
+
+
+def _place_of(path: Path) -> tuple[str, str]:
+    """Room and cycle from a name such as ``R01_3_view.npz``."""
+    match = re.match(r"(?P<room>.+?)_(?P<cycle>\d+)_\w+$", path.stem)
+    return (match["room"], match["cycle"]) if match else (path.stem, "")
+
+
+def _views(run: Run) -> list[Picture]:
+    pictures = []
+    for source, arrays in run.arrays("evidence/*_view.npz"):
+        grid = grid_of(arrays)
+        if grid is None:
+            continue
+        room, cycle = _place_of(source)
+        path = _target(run, source.stem)
+        _draw_view(path, crop(grid, grid.data != Label.OUTSIDE), arrays)
+        pictures.append(Picture(path, f"{run.room_names.get(room, room)}, cycle {cycle}", "view", room, cycle))
+    return pictures
+
+
+def _draw_view(path: Path, grid: Grid, arrays: dict[str, NDArray]) -> None:
+    candidates = np.asarray(arrays.get("candidates", np.zeros((0, 4))), float).reshape(-1, 4)
+    with canvas(path, grid_extent(grid), width=6.0) as axes:
+        draw_grid(axes, grid, rgb("#eef1f4", PAPER, "#f3c98b", "#3e4c59"))
+        if len(candidates):
+            dots = axes.scatter(
+                candidates[:, 0], candidates[:, 1], c=candidates[:, 2], s=9, cmap="viridis", linewidths=0, zorder=4
+            )
+            bar = axes.figure.colorbar(dots, cax=axes.inset_axes((0.03, 0.03, 0.25, 0.025)), orientation="horizontal")
+            bar.ax.tick_params(labelsize=6, color=MUTED, labelcolor=PAPER)
+            bar.outline.set_visible(False)
+            bar.ax.set_title("voxels gained", fontsize=6.5, color=PAPER, pad=2)
+            bar.ax.set_facecolor(INK)
+            best = candidates[int(np.argmax(candidates[:, 2]))]
+            axes.plot(*best[:2], marker="*", markersize=17, color=BAD, markeredgecolor=PAPER, zorder=6)
+        if "station" in arrays:
+            axes.plot(*np.asarray(arrays["station"], float)[:2], "o", color=ACCENT, markersize=9,
+                      markeredgecolor=PAPER, zorder=6)  # fmt: skip
+        legend(axes, [(PAPER, "empty"), ("#f3c98b", "occluded"), ("#3e4c59", "occupied")])
+
+
+def _ceilings(run: Run) -> list[Picture]:
+    pictures = []
+    for source, arrays in _latest_by_room(run.arrays("evidence/*_ceiling.npz")):
+        grid = grid_of(arrays)
+        if grid is None:
+            continue
+        room, cycle = _place_of(source)
+        path = _target(run, f"{room}_ceiling")
+        contour = np.asarray(arrays.get("contour", np.zeros((0, 2))), float)
+        with canvas(path, grid_extent(grid), width=6.0) as axes:
+            draw_grid(axes, grid.with_data(grid.data > 0), rgb(PAPER, "#9fb3c8"))
+            if len(contour):
+                axes.plot(*np.vstack([contour, contour[:1]]).T, color=BAD, linewidth=2, zorder=4)
+        title = f"{run.room_names.get(room, room)}: ceiling and contour H"
+        pictures.append(Picture(path, title, "ceiling", room, cycle))
+    return pictures
+
+
+def _flatness(run: Run) -> list[Picture]:
+    pictures = []
+    for source, arrays in _latest_by_room(run.arrays("evidence/*_flatness.npz")):
+        grid = grid_of(arrays)
+        if grid is None:
+            continue
+        room, cycle = _place_of(source)
+        path = _target(run, f"{room}_flatness")
+        known = crop(grid, grid.data != Cell.UNKNOWN)
+        with canvas(path, grid_extent(known), width=6.0) as axes:
+            draw_grid(axes, known, rgb("#e3f1e8", BAD, "#eef1f4"))
+            legend(axes, [("#e3f1e8", "flat"), (BAD, "not flat"), ("#eef1f4", "unknown")])
+        pictures.append(Picture(path, f"{run.room_names.get(room, room)}: flatness map F(t)", "flatness", room, cycle))
+    return pictures
+
+
+def _latest_by_room(found: list[tuple[Path, dict[str, NDArray]]]) -> list[tuple[Path, dict[str, NDArray]]]:
+    return list({_place_of(path)[0]: (path, arrays) for path, arrays in found}.values())

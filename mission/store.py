@@ -1,0 +1,118 @@
+"""The run folder: where each file of a mission is, and how it is written so that no half of one is ever seen."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mission.journal import plain
+from perception.grids import Grid, VoxelSpace
+
+_FOLDERS = ("scans", "maps", "voxels", "evidence", "pictures")
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """``runs/<time>_<site>/``; all names inside are made here and nowhere else."""
+
+    path: Path
+
+    @classmethod
+    def create(cls, parent: Path, site: str) -> "RunFolder":
+        """A new folder named by the time and the site."""
+        stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+        return cls.at(parent / f"{stamp}_{site}")
+
+    @classmethod
+    def at(cls, path: Path) -> "RunFolder":
+        """The folder of this very name, made if absent."""
+        for name in _FOLDERS:
+            (path / name).mkdir(parents=True, exist_ok=True)
+        return cls(path)
+
+    @property
+    def events(self) -> Path:
+        return self.path / "events.jsonl"
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.yaml"
+
+    @property
+    def state(self) -> Path:
+        return self.path / "state.json"
+
+    @property
+    def simulation(self) -> Path:
+        """Where simulated agents keep their truth; only the evaluation reads it."""
+        return self.path / "simulation"
+
+    def scan_file(self, scan_id: str) -> Path:
+        return self.path / "scans" / f"{scan_id}.scan"
+
+    def robot_map(self, map_id: str) -> Grid:
+        return load_grid(self.path / "maps" / f"{map_id}.npz")
+
+    def map_file(self, map_id: str) -> Path:
+        return self.path / "maps" / f"{map_id}.npz"
+
+    def map_evidence_file(self, map_id: str) -> Path:
+        return self.path / "maps" / f"{map_id}_evidence.npz"
+
+    def voxel_file(self, room_id: str, cycle: int) -> Path:
+        return self.path / "voxels" / f"{room_id}_{cycle:02d}.npz"
+
+    def evidence_file(self, room_id: str, cycle: int, name: str) -> Path:
+        return self.path / "evidence" / f"{room_id}_{cycle:02d}_{name}.npz"
+
+    def write_state(self, state: Mapping[str, Any]) -> None:
+        write_text(self.state, json.dumps(state, default=plain, indent=1))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole text file or none of it."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+def write_arrays(path: Path, **arrays: object) -> None:
+    """Write an ``.npz`` of plain arrays, whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as stream:
+        np.savez_compressed(stream, **{name: np.asarray(value) for name, value in arrays.items()})
+        stream.flush()
+        os.fsync(stream.fileno())
+    partial.replace(path)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of an ``.npz`` that this project wrote; nothing in it is ever executed."""
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def save_grid(path: Path, grid: Grid) -> None:
+    write_arrays(path, data=grid.data, origin=grid.origin, resolution=grid.resolution)
+
+
+def load_grid(path: Path) -> Grid:
+    arrays = read_arrays(path)
+    x, y = arrays["origin"]
+    return Grid(arrays["data"], (float(x), float(y)), float(arrays["resolution"]))
+
+
+def save_space(path: Path, space: VoxelSpace) -> None:
+    write_arrays(path, labels=space.labels, origin=space.origin, size=space.size)
+
+
+def load_space(path: Path) -> VoxelSpace:
+    arrays = read_arrays(path)
+    x, y, z = (float(value) for value in arrays["origin"])
+    return VoxelSpace(arrays["labels"], (x, y, z), float(arrays["size"]))

@@ -1,0 +1,301 @@
+"""Open doors in the walls of a room (paper section 2) by what the beams did at the planes of the walls.
+
+A door is a hole that reaches the floor, has jambs and goes on: floor at the same height behind it, room to stand, and
+a gap that the robot fits through. Windows, niches, cupboards, mirrors and steps each fail a gate that has their name.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from perception import transforms
+from perception.findings import Door, DoorFindings, RoomShape
+from perception.scan import Scan
+from perception.transforms import Matrix
+from perception.wall_evidence import CELL, Beam, Evidence, Wall, gather, local_points, walls_of
+
+NOMINAL_THICKNESS = 0.15
+"""Of a wall whose other face was not seen, metres."""
+
+_LOW, _MIDDLE, _TOP = round(0.15 / CELL), round(0.9 / CELL), round(1.85 / CELL)
+
+
+@dataclass(frozen=True)
+class DoorGates:
+    """What makes a hole in a wall a door; lengths in metres, the rest shares."""
+
+    min_width: float = 0.65
+    max_width: float = 2.4
+    min_height: float = 1.85
+    max_height: float = 2.6
+    open_column: float = 0.6
+    fill: float = 0.7
+    jamb: float = 0.5
+    lintel: float = 0.5
+    floor_step: float = 0.03
+    free_depth: float = 0.8
+    min_depth_width: float = 0.5
+    reach: float = 0.45
+    mirrored: float = 0.6
+    glass: float = 0.15
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """A hole in a wall with the points around it in wall coordinates (u, d, z)."""
+
+    wall: Wall
+    evidence: Evidence
+    left: float
+    right: float
+    height: float
+    points: NDArray[np.float32]
+
+    @property
+    def columns(self) -> slice:
+        return slice(max(0, round(self.left / CELL)), round(self.right / CELL))
+
+    @property
+    def inner_columns(self) -> slice:
+        """Without the cells that the jambs cut."""
+        return slice(self.columns.start + 2, self.columns.stop - 2)
+
+    def within(self, low: float, high: float, left: float | None = None, right: float | None = None) -> NDArray:
+        """Points of the opening's width (or another) between two heights above the floor."""
+        u, z = self.points[:, 0], self.points[:, 2]
+        left, right = self.left if left is None else left, self.right if right is None else right
+        return self.points[(u > left) & (u < right) & (z > low) & (z < high)]
+
+
+def find_doors(
+    shape: RoomShape,
+    scans: Sequence[tuple[Scan, Matrix]],
+    robot_width: float = 0.6,
+    gates: DoorGates = DoorGates(),
+) -> DoorFindings:
+    """Find the open doors of a room.
+
+    Args:
+        shape: contour, floor, ceiling and walls of the room; the walls may be 10 cm off.
+        scans: every scan near the room with its ``map_from_scanner``; evidence adds up over them.
+        robot_width: metres that the gap must leave; a narrower one is refused as ``narrow``.
+
+    Returns:
+        The doors, and the door-like holes that failed, each with the name of the gate.
+    """
+    ranges = [scan.range_image() for scan, _ in scans]
+    cloud = _surroundings(shape, scans)
+    doors: list[Door] = []
+    refused: list[tuple[Door, str]] = []
+    for wall in walls_of(shape, cloud[:: max(1, len(cloud) // 200_000)]):
+        evidence = gather(wall, scans, ranges)
+        points: NDArray[np.float32] | None = None
+        for left, right in _holes(evidence, gates):
+            points = local_points(wall, cloud) if points is None else points
+            opening = _measured(wall, evidence, left, right, points)
+            door, gate = _judge(opening, robot_width, gates)
+            if gate is None:
+                doors.append(door)
+            else:
+                refused.append((door, gate))
+    return DoorFindings(tuple(doors), tuple(refused))
+
+
+def door_pose(door: Door) -> tuple[float, float, float]:
+    """(x, y, yaw) under the door: between its jambs, in the middle of the wall, looking out of the room."""
+    x, y = beyond(door, door.thickness / 2)
+    return x, y, float(np.arctan2(door.normal[1], door.normal[0]))
+
+
+def beyond(door: Door, distance: float) -> tuple[float, float]:
+    """(x, y) on the door's axis, ``distance`` metres past the wall plane."""
+    return door.x + distance * door.normal[0], door.y + distance * door.normal[1]
+
+
+def before(door: Door, distance: float) -> tuple[float, float]:
+    """(x, y) on the door's axis, ``distance`` metres before the wall plane, inside the room."""
+    return beyond(door, -distance)
+
+
+def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> NDArray[np.float32]:
+    """All points between a little below the floor and the ceiling, up to 4 m around the room, map frame."""
+    low, high = shape.contour.min(axis=0) - 4.0, shape.contour.max(axis=0) + 4.0
+    clouds = []
+    for scan, map_from_scanner in scans:
+        points = transforms.apply(map_from_scanner, scan.points)
+        inside = np.all((points[:, :2] > low) & (points[:, :2] < high), axis=1)
+        clouds.append(points[inside & (points[:, 2] > shape.floor_z - 1.0) & (points[:, 2] < shape.ceiling_z)])
+    return np.concatenate(clouds)
+
+
+def _holes(evidence: Evidence, gates: DoorGates) -> list[tuple[int, int]]:
+    """Runs of columns (first, past last) that beams passed at knee and at head height."""
+    decided = evidence.decided
+    passed = np.ones(len(decided), bool)
+    tested = np.zeros(len(decided), bool)
+    for band in (slice(_LOW, _MIDDLE), slice(_MIDDLE, _TOP)):
+        reached = np.count_nonzero(decided[:, band] >= 0, axis=1)
+        free = np.count_nonzero(decided[:, band] == Beam.OPEN, axis=1)
+        known = reached >= 0.15 * (band.stop - band.start)
+        passed &= ~known | (free >= gates.open_column * reached)
+        tested |= known
+    state = np.where(tested, np.where(passed, 1, 0), -1)
+    return [run for run in _runs(state, round(0.35 / CELL)) if (run[1] - run[0]) * CELL > gates.min_width - 2 * CELL]
+
+
+def _runs(state: NDArray, bridge: int) -> list[tuple[int, int]]:
+    """Runs of 1, joined across at most ``bridge`` unknown (-1) entries."""
+    runs: list[tuple[int, int]] = []
+    for i in np.flatnonzero(state == 1):
+        if runs and i - runs[-1][1] <= bridge and not np.any(state[runs[-1][1] : i] == 0):
+            runs[-1] = (runs[-1][0], int(i) + 1)
+        else:
+            runs.append((int(i), int(i) + 1))
+    return runs
+
+
+def _measured(wall: Wall, evidence: Evidence, first: int, last: int, points: NDArray[np.float32]) -> _Opening:
+    """The hole with its jambs from the points themselves and its height from the rows."""
+    around = points[(points[:, 0] > first * CELL - 2.5) & (points[:, 0] < last * CELL + 2.5)]
+    around = around[np.abs(around[:, 1]) < 4.0]
+    on_wall = around[(np.abs(around[:, 1]) < 0.03) & (around[:, 2] > 0.2) & (around[:, 2] < 1.8)]
+    left = _jamb(on_wall, first * CELL, -1.0)
+    right = _jamb(on_wall, last * CELL, 1.0)
+    decided = evidence.decided[first:last]
+    reached = np.count_nonzero(decided >= 0, axis=0)
+    free = np.count_nonzero(decided == Beam.OPEN, axis=0)
+    shut = (reached >= 0.3 * len(decided)) & (free < 0.5 * reached)
+    above = np.flatnonzero(shut[_MIDDLE:])
+    height = (above[0] + _MIDDLE) * CELL if len(above) else decided.shape[1] * CELL
+    return _Opening(wall, evidence, left, right, float(height), around)
+
+
+def _jamb(on_wall: NDArray[np.float32], edge: float, side: float) -> float:
+    """Where the wall ends beside a hole: the median over height of each slab's last point on the wall."""
+    u, z = side * (on_wall[:, 0] - edge), on_wall[:, 2]
+    close = (u > -0.12) & (u < 0.20)
+    slab = (z[close] / 0.1).astype(int)
+    ends = [float(u[close][slab == s].min()) for s in np.unique(slab)]
+    # A slab whose end lies far out was hidden there: it says nothing about the jamb.
+    ends = [e for e in ends if e < min(ends) + 0.06]
+    return edge + side * float(np.median(ends)) if ends else edge
+
+
+def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Door, str | None]:
+    """The opening as a door, and the first gate that it fails."""
+    wall = opening.wall
+    left, right = _net_interval(opening, -gates.reach, gates.reach)
+    thickness = _thickness(opening)
+    x, y = wall.at((left + right) / 2)
+    rows = slice(_LOW, min(_TOP, round(opening.height / CELL)))
+    fill = opening.evidence.share((opening.columns, rows), Beam.OPEN)
+    door = Door(
+        x=float(x),
+        y=float(y),
+        normal=(float(wall.outward[0]), float(wall.outward[1])),
+        width=opening.right - opening.left,
+        net_width=right - left,
+        height=opening.height,
+        confidence=0.0 if np.isnan(fill) else fill,
+        thickness=thickness,
+    )
+    checks = {
+        "width": gates.min_width <= door.width <= gates.max_width,
+        "height": _height_fits(opening, gates),
+        "sill": _reaches_floor(opening),
+        "glass": opening.evidence.glassy((opening.inner_columns, rows)) < gates.glass,
+        "fill": door.confidence >= gates.fill,
+        "jambs": all(_jamb_stands(opening, side, gates) for side in (-1, 1)),
+        "floor": _floor_goes_on(opening, gates),
+        "depth": _goes_on(opening, gates),
+        "mirror": not _is_mirror(opening, gates),
+        "narrow": door.net_width >= robot_width,
+    }
+    return door, next((gate for gate, passed in checks.items() if not passed), None)
+
+
+def _height_fits(opening: _Opening, gates: DoorGates) -> bool:
+    to_ceiling = opening.height > opening.wall.ceiling_z - opening.wall.floor_z - 0.15
+    return opening.height >= gates.min_height and (opening.height <= gates.max_height or to_ceiling)
+
+
+def _reaches_floor(opening: _Opening) -> bool:
+    """Beams passed between 15 and 50 cm over the floor wherever they got there, and got there at all."""
+    share = opening.evidence.share((opening.columns, slice(_LOW, round(0.5 / CELL))), Beam.OPEN)
+    return bool(share > 0.5)
+
+
+def _jamb_stands(opening: _Opening, side: int, gates: DoorGates) -> bool:
+    """The wall beside the hole is solid where beams tested it, or the hole ends in the room's corner."""
+    columns = opening.columns
+    near = slice(columns.start - 4, columns.start - 1) if side < 0 else slice(columns.stop + 1, columns.stop + 4)
+    if near.start < 0 or near.stop > opening.evidence.counts.shape[1]:
+        return True
+    whole = opening.evidence.share((near, slice(_LOW, None)), Beam.SOLID)
+    return bool(whole >= gates.jamb)
+
+
+def _floor_goes_on(opening: _Opening, gates: DoorGates) -> bool:
+    """The ground behind the hole, up to 1.5 m deep, is floor at the same height and not a step down or a ledge."""
+    low = opening.within(-1.0, 0.25)
+    ground = low[(low[:, 1] > 0.10) & (low[:, 1] < 1.5), 2]
+    level = np.count_nonzero(np.abs(ground) <= gates.floor_step)
+    return bool(level >= 5 and level >= 0.5 * len(ground))
+
+
+def _net_interval(opening: _Opening, front: float, back: float) -> tuple[float, float]:
+    """Widest part of the hole with nothing in the way between two depths, at the robot's heights."""
+    near = opening.within(0.08, 1.4)
+    near = near[(near[:, 1] > front) & (near[:, 1] < back)]
+    near = near[(near[:, 0] > opening.left + 0.02) & (near[:, 0] < opening.right - 0.02)]
+    # A stray or mixed point is not an obstacle: it takes three points within 4 cm.
+    u = np.sort(near[:, 0])
+    dense = u[2:][u[2:] - u[:-2] < 0.04] if len(u) > 2 else u[:0]
+    edges = np.concatenate([[opening.left], dense, [opening.right]])
+    widest = int(np.argmax(np.diff(edges)))
+    return float(edges[widest]), float(edges[widest + 1])
+
+
+def _thickness(opening: _Opening) -> float:
+    """Depth of the reveals, where they were seen."""
+    depths = []
+    for edge in (opening.left, opening.right):
+        reveal = opening.within(0.2, 1.8, edge - 0.03, edge + 0.03)[:, 1]
+        reveal = np.sort(reveal[(reveal > -0.02) & (reveal < 0.8)])
+        if len(reveal) >= 15:
+            gaps = np.flatnonzero(np.diff(reveal) > 0.05)
+            depths.append(float(reveal[gaps[0]] if len(gaps) else reveal[-1]))
+    plausible = [depth for depth in depths if 0.06 <= depth <= 0.5]
+    return min(plausible) if plausible else NOMINAL_THICKNESS
+
+
+def _goes_on(opening: _Opening, gates: DoorGates) -> bool:
+    """There is room to stand behind the hole, and something was measured deeper than a cupboard's back."""
+    left, right = _net_interval(opening, 0.0, gates.free_depth)
+    deeper = opening.points[opening.points[:, 1] > gates.free_depth]
+    return bool(right - left >= gates.min_depth_width and len(deeper) >= 20)
+
+
+def _is_mirror(opening: _Opening, gates: DoorGates) -> bool:
+    """What is seen behind repeats, reflected, what stands before the wall.
+
+    Floor, ceiling and walls that run on through the plane repeat in any case: they also do when the reflection is
+    displaced, so only what does not is asked.
+    """
+    top = opening.wall.ceiling_z - opening.wall.floor_z - 0.15
+    points = opening.points[(opening.points[:, 2] > 0.15) & (opening.points[:, 2] < top)]
+    behind, front = points[points[:, 1] > 0.3], points[points[:, 1] < -0.1]
+    if len(behind) < 50 or len(front) < 50:
+        return False
+    reflected = behind[:: max(1, len(behind) // 2000)] * np.array([1, -1, 1], np.float32)
+    tree = cKDTree(front)
+
+    def repeats(shift: float) -> NDArray[np.bool_]:
+        displaced = reflected + np.array([0, shift, 0], np.float32)
+        return np.isfinite(tree.query(displaced, distance_upper_bound=0.05, workers=2)[0])
+
+    telling = ~(repeats(0.25) | repeats(-0.25))
+    return bool(np.count_nonzero(telling) >= 50 and np.mean(repeats(0.0)[telling]) > gates.mirrored)

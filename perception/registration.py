@@ -1,0 +1,276 @@
+"""Registration of a new scan to the cloud (paper section 5): odometry guess, then ICP, then doubt.
+
+The smallest residual is not proof of the right place: along a bare corridor every slide fits. So the result carries
+how well the pairs hold each direction and how far it moved from the odometry, and :func:`judge` refuses what is not
+certain.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from perception import transforms
+from perception.failure import FailureError
+from perception.findings import Registration
+from perception.surfels import SPACING, Surface, Surfels, first_per_voxel, surface_of
+from perception.transforms import Matrix
+
+__all__ = ["Reference", "RegistrationLimits", "anchor", "judge", "reference_from", "register", "surface_of"]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One step from coarse to fine: largest correspondence distance (metres), source surfels used, iterations."""
+
+    distance: float
+    samples: int
+    iterations: int
+
+
+LEVELS = (Level(0.5, 3000, 25), Level(0.2, 6000, 20), Level(0.08, 12000, 15), Level(0.03, 20000, 15))
+
+
+@dataclass(frozen=True)
+class RegistrationLimits:
+    """What :func:`judge` demands.
+
+    Args:
+        min_overlap: share of the source on known surface.
+        min_agreement: of the overlapping share, the part that fits within the last correspondence distance.
+        max_rmse: metres.
+        max_conflict: share of the comparable surface that was seen through.
+        min_eigenvalue: of the pairs' normals; below it the scan slides.
+        sigmas: how many times the expected error of the guess the correction may be.
+        slack_m, slack_rad: correction that is allowed whatever was expected.
+    """
+
+    min_overlap: float = 0.15
+    min_agreement: float = 0.75
+    max_rmse: float = 0.012
+    max_conflict: float = 0.03
+    min_eigenvalue: float = 0.02
+    sigmas: float = 3.0
+    slack_m: float = 0.10
+    slack_rad: float = float(np.deg2rad(1.5))
+
+
+class Reference:
+    """The thinned model of earlier scans around a place, in the map frame, with its search tree.
+
+    Pairs are sought in six dimensions (position, and normal times ``NORMAL_WEIGHT`` metres), so that a surfel finds its
+    own wall's face and not the nearer one behind it.
+    """
+
+    NORMAL_WEIGHT = 0.3
+
+    def __init__(self, surfels: Surfels, views: Sequence[tuple[Surface, Matrix]]) -> None:
+        self.surfels = surfels
+        self._views = views
+        self._tree = cKDTree(self._features(surfels), balanced_tree=False, compact_nodes=False)
+
+    def _features(self, surfels: Surfels) -> NDArray[np.float32]:
+        return np.hstack([surfels.points, self.NORMAL_WEIGHT * surfels.normals])
+
+    def pairs(self, source: Surfels, distance: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Index of each paired source surfel and of its partner, about ``distance`` metres and 20 degrees apart."""
+        _, partner = self._tree.query(self._features(source), distance_upper_bound=distance + 0.1, workers=2)
+        found = np.flatnonzero(partner < len(self.surfels))
+        return found, partner[found]
+
+    def conflict(self, source: Surface, map_from_scanner: Matrix) -> float:
+        """Share of known surface that one of the two sides saw through, of all that either side could test."""
+        confirmed, through = source.compare(self.surfels.moved(transforms.inverse(map_from_scanner)))
+        for view, map_from_view in self._views:
+            more = view.compare(source.surfels.moved(transforms.inverse(map_from_view) @ map_from_scanner))
+            confirmed, through = confirmed + more[0], through + more[1]
+        return through / max(confirmed + through, 1)
+
+
+def reference_from(
+    scans: Sequence[tuple[Surface, Matrix]], near: tuple[float, float] | None = None, radius: float = 15.0
+) -> Reference:
+    """Model to register a new scan to, built once per cycle.
+
+    Args:
+        scans: each earlier scan's surface and its ``map_from_scanner``, oldest first: where scans overlap the first
+            keeps its surfels, so that small errors of later ones do not creep along the chain.
+        near: (x, y) in the map frame to keep the surroundings of, or None for everything.
+        radius: metres around ``near``.
+    """
+    moved = [surface.surfels.moved(pose) for surface, pose in scans]
+    surfels = Surfels(np.concatenate([m.points for m in moved]), np.concatenate([m.normals for m in moved]))
+    views = list(scans)
+    if near is not None:
+        surfels = surfels.pick(np.hypot(*(surfels.points[:, :2] - near).T) <= radius)
+        views = [view for view in scans if np.hypot(*(view[1][:2, 3] - near)) <= radius]
+    facing = np.argmax(np.abs(surfels.normals), axis=1)
+    sense = np.take_along_axis(surfels.normals, facing[:, None], axis=1)[:, 0] > 0
+    return Reference(surfels.pick(first_per_voxel(surfels.points, SPACING, 2 * facing + sense)), views)
+
+
+def anchor(map_from_scanner: Matrix) -> Registration:
+    """The registration of the first scan, which defines the map frame."""
+    return Registration(map_from_scanner, 1.0, 0.0, 1.0, 1 / 3, (0.0, 0.0, 1.0), 0.0, 0.0, "anchor")
+
+
+def register(source: Surface, reference: Reference, guess: Matrix, method: str = "icp") -> Registration:
+    """Align a scan to the reference by point-to-plane ICP, coarse to fine, with Tukey's weights.
+
+    Args:
+        source: the thinned scan in the scanner's frame (:func:`surface_of`).
+        reference: the model (:func:`reference_from`) in the map frame.
+        guess: ``map_from_scanner`` as odometry (or a global search) has it.
+        method: name to put into the result.
+
+    Returns:
+        The pose with its figures, good or bad; :func:`judge` decides.
+
+    Raises:
+        FailureError: ``REG_DIVERGED`` when there is too little surface to pair at all.
+    """
+    if min(len(source.surfels), len(reference.surfels)) < 50:
+        raise FailureError(
+            "REG_DIVERGED",
+            f"too little flat surface to register: {len(source.surfels)} surfels to {len(reference.surfels)}",
+            source=len(source.surfels),
+            reference=len(reference.surfels),
+        )
+    shuffled = source.surfels.pick(np.random.default_rng(0).permutation(len(source.surfels)))
+    # Where little of the scan is known ground, coarse pairs can drag it away from a guess that was good enough.
+    poses = [_descend(shuffled, reference, guess, LEVELS[skipped:]) for skipped in (0, 1)]
+    return max((_assess(source, reference, guess, pose, method) for pose in poses), key=plausibility)
+
+
+def plausibility(registration: Registration) -> float:
+    """Fitness, less four times the share of surface that would have been seen through: orders rival poses."""
+    return registration.fitness * max(0.0, 1.0 - 4.0 * registration.conflict)
+
+
+def _descend(shuffled: Surfels, reference: Reference, guess: Matrix, levels: Sequence[Level]) -> Matrix:
+    pose = guess.astype(np.float64, copy=True)
+    for level in levels:
+        sample = shuffled.pick(np.s_[: level.samples])
+        for _ in range(level.iterations):
+            step = _gauss_newton_step(sample.moved(pose), reference, level.distance, pose[:3, 3])
+            pose = step @ pose
+            if np.abs(step - np.eye(4)).max() < 1e-3 * level.distance:
+                break
+    return pose
+
+
+def _residuals(
+    source: Surfels, reference: Reference, distance: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Paired source index, point-to-plane residual, partner normals and the offset along the surface."""
+    found, partner = reference.pairs(source, distance)
+    offset = (source.points[found] - reference.surfels.points[partner]).astype(np.float64)
+    normals = reference.surfels.normals[partner].astype(np.float64)
+    residual = np.einsum("ij,ij->i", offset, normals)
+    along = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - residual**2, 0.0))
+    return found, residual, normals, along
+
+
+def _gauss_newton_step(moved: Surfels, reference: Reference, distance: float, pivot: NDArray[np.float64]) -> Matrix:
+    """The small rigid motion of the source that lessens the weighted point-to-plane distances."""
+    found, residual, normals, _ = _residuals(moved, reference, distance)
+    if len(found) < 12:
+        return np.eye(4)
+    weight = np.where(np.abs(residual) < distance, (1 - (residual / distance) ** 2) ** 2, 0.0)
+    arm = moved.points[found].astype(np.float64) - pivot
+    jacobian = np.hstack([np.cross(arm, normals), normals])
+    information = jacobian.T @ (weight[:, None] * jacobian)
+    # The tiny damping keeps an unheld direction where odometry put it instead of letting rounding drive it.
+    information += 1e-4 * len(found) * np.eye(6)
+    update = -np.linalg.solve(information, jacobian.T @ (weight * residual))
+    step = np.eye(4)
+    step[:3, :3] = Rotation.from_rotvec(update[:3]).as_matrix()
+    step[:3, 3] = update[3:] + pivot - step[:3, :3] @ pivot
+    return step
+
+
+def _assess(source: Surface, reference: Reference, guess: Matrix, pose: Matrix, method: str) -> Registration:
+    found, residual, normals, along = _residuals(source.surfels.moved(pose), reference, 0.10)
+    on_surface = along < 0.10
+    close = on_surface & (np.abs(residual) < LEVELS[-1].distance)
+    count = int(np.count_nonzero(close))
+    held = normals[close]
+    values, axes = np.linalg.eigh(held.T @ held / max(count, 1))
+    correction_m, correction_rad = transforms.difference(guess, pose)
+    return Registration(
+        map_from_scanner=pose,
+        fitness=count / len(source.surfels),
+        rmse=float(np.sqrt(np.mean(residual[close] ** 2))) if count else float("inf"),
+        overlap=float(np.count_nonzero(on_surface & (np.abs(residual) < 0.10)) / len(source.surfels)),
+        min_eigenvalue=float(values[0]),
+        weak_axis=(float(axes[0, 0]), float(axes[1, 0]), float(axes[2, 0])),
+        correction_m=correction_m,
+        correction_rad=correction_rad,
+        method=method,
+        conflict=reference.conflict(source, pose),
+    )
+
+
+def judge(
+    registration: Registration,
+    expected_error: tuple[float, float],
+    limits: RegistrationLimits = RegistrationLimits(),
+) -> None:
+    """Return if the registration may enter the map.
+
+    Args:
+        expected_error: standard deviation of the guess in metres and radians.
+
+    Raises:
+        FailureError: ``REG_DIVERGED``, ``REG_LOW_OVERLAP``, ``REG_DEGENERATE`` or ``REG_INCONSISTENT``.
+    """
+    evidence: dict[str, object] = {
+        "fitness": registration.fitness,
+        "rmse": registration.rmse,
+        "overlap": registration.overlap,
+        "min_eigenvalue": registration.min_eigenvalue,
+        "weak_axis": list(registration.weak_axis),
+        "correction_m": registration.correction_m,
+        "correction_rad": registration.correction_rad,
+        "conflict": registration.conflict,
+        "method": registration.method,
+    }
+
+    def refuse(code: str, message: str) -> FailureError:
+        return FailureError(code, message, **evidence)
+
+    if not np.isfinite(registration.map_from_scanner).all():
+        raise refuse("REG_DIVERGED", "the registration is not finite")
+    if registration.overlap < limits.min_overlap:
+        raise refuse(
+            "REG_LOW_OVERLAP", f"only {registration.overlap:.0%} of the scan lies on known surface "
+            f"(at least {limits.min_overlap:.0%} needed)",
+        )
+    agreement = registration.fitness / registration.overlap
+    if agreement < limits.min_agreement or registration.rmse > limits.max_rmse:
+        raise refuse(
+            "REG_DIVERGED", f"{agreement:.0%} of the overlap fits, to {registration.rmse * 1000:.1f} mm rms "
+            f"(needed {limits.min_agreement:.0%} within {limits.max_rmse * 1000:.0f} mm)",
+        )
+    if registration.conflict > limits.max_conflict:
+        raise refuse(
+            "REG_DIVERGED", f"{registration.conflict:.0%} of the surface that could be compared would have been seen "
+            f"through (at most {limits.max_conflict:.0%})",
+        )
+    if registration.min_eigenvalue < limits.min_eigenvalue:
+        heading = np.rad2deg(np.arctan2(registration.weak_axis[1], registration.weak_axis[0]))
+        raise refuse(
+            "REG_DEGENERATE", f"nothing holds the scan along {heading:.0f} degrees "
+            f"(eigenvalue {registration.min_eigenvalue:.4f}, at least {limits.min_eigenvalue:.4f} needed)",
+        )
+    allowed_m = limits.sigmas * expected_error[0] + limits.slack_m
+    allowed_rad = limits.sigmas * expected_error[1] + limits.slack_rad
+    if registration.correction_m > allowed_m or registration.correction_rad > allowed_rad:
+        raise refuse(
+            "REG_INCONSISTENT", f"the scan lies {registration.correction_m:.2f} m and "
+            f"{np.rad2deg(registration.correction_rad):.1f} degrees from where odometry has it "
+            f"(at most {allowed_m:.2f} m and {np.rad2deg(allowed_rad):.1f} degrees)",
+        )

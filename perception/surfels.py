@@ -1,0 +1,146 @@
+"""What registration keeps of a scan: small oriented planes to pair, and how far it saw in each direction to object."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
+
+from perception import transforms
+from perception.transforms import Matrix
+
+SPACING = 0.08
+"""Distance between neighbouring surfels, metres."""
+
+_GRAIN = 0.03
+_NEIGHBOURS = 14
+_MAX_ROUGHNESS = 0.008
+_MIN_WIDTH_RATIO = 0.12
+_VIEW_COLUMNS, _VIEW_ROWS = 360, 180
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """Points on locally flat surface with their normals.
+
+    Args:
+        points: ``(N, 3)`` float32, metres.
+        normals: ``(N, 3)`` float32, unit length, towards the scanner that saw them: the two faces of a thin wall
+            are told apart by nothing else.
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def moved(self, target_from_source: Matrix) -> "Surfels":
+        """The same surfels in another frame."""
+        rotation = target_from_source[:3, :3].astype(np.float32)
+        return Surfels(transforms.apply(target_from_source, self.points), self.normals @ rotation.T)
+
+    def pick(self, index: NDArray | slice) -> "Surfels":
+        """The surfels of an index, mask or slice."""
+        return Surfels(self.points[index], self.normals[index])
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A thinned scan in its scanner's frame, some hundred kilobytes, made once and used by every later registration.
+
+    Args:
+        surfels: where it met flat surface.
+        sight: ``(180, 360)`` float32 over elevation and azimuth in degrees: metres that were surely free (the
+            shortest range of the direction and its neighbours), 0 where nothing returned.
+    """
+
+    surfels: Surfels
+    sight: NDArray[np.float32]
+
+    def compare(self, surfels: Surfels) -> tuple[int, int]:
+        """How many of other surfels (in this scanner's frame) this scan confirms, and how many it saw through.
+
+        Seen through means that the scan measured at least 10 cm (and 2 %) behind a surfel that faces it.
+        """
+        distance = np.linalg.norm(surfels.points, axis=1)
+        facing = np.einsum("ij,ij->i", surfels.points, surfels.normals) < -0.2 * distance
+        cells = _view_cells(surfels.points, distance)
+        free = self.sight[cells]
+        known = facing & (free > 0)
+        through = known & (free > 1.02 * distance + 0.10)
+        confirmed = known & (np.abs(free - distance) <= 0.02 * distance + 0.10)
+        return int(np.count_nonzero(confirmed)), int(np.count_nonzero(through))
+
+
+def surface_of(points: NDArray[np.floating], spacing: float = SPACING) -> Surface:
+    """Thin one scan.
+
+    Each surfel is the plane of its nearest neighbours among 3 cm voxel means. Means lie on the surface wherever it is
+    flat; where it is not (corners, edges, mixed pixels, scan lines too far apart to span a plane) the surfel is left
+    out, so that averaging never biases a surface.
+
+    Args:
+        points: ``(N, 3)`` in the scanner's frame (the scanner at the origin), metres; non-finite rows are ignored.
+        spacing: side of the voxels that keep one surfel each, metres.
+    """
+    finite = points[np.isfinite(points).all(axis=1)].astype(np.float32, copy=False)
+    return Surface(_surfels(finite, spacing), _sight(finite))
+
+
+def _surfels(points: NDArray[np.float32], spacing: float) -> Surfels:
+    grains = _voxel_means(points, _GRAIN)
+    if len(grains) < _NEIGHBOURS:
+        return Surfels(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32))
+    centres = grains[first_per_voxel(grains, spacing)]
+    _, index = cKDTree(grains, balanced_tree=False, compact_nodes=False).query(centres, _NEIGHBOURS, workers=2)
+    neighbours = grains[index]
+    middle = neighbours.mean(axis=1)
+    offsets = neighbours - middle[:, None]
+    variance, axes = np.linalg.eigh(np.matmul(offsets.transpose(0, 2, 1), offsets).astype(np.float64) / _NEIGHBOURS)
+    flat = (variance[:, 0] < _MAX_ROUGHNESS**2) & (variance[:, 0] < 0.05 * variance[:, 1])
+    flat &= variance[:, 1] > _MIN_WIDTH_RATIO**2 * variance[:, 2]
+    normals = axes[:, :, 0].astype(np.float32)
+    on_plane = centres - np.einsum("ij,ij->i", centres - middle, normals)[:, None] * normals
+    normals[np.einsum("ij,ij->i", on_plane, normals) > 0] *= -1
+    return Surfels(on_plane[flat], normals[flat])
+
+
+def _sight(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    distance = np.linalg.norm(points, axis=1)
+    nearest = np.full((_VIEW_ROWS, _VIEW_COLUMNS), np.inf, np.float32)
+    np.minimum.at(nearest, _view_cells(points, distance), distance)
+    # The neighbours' minimum: an edge or a slanting surface within the cell must not look transparent.
+    eroded = minimum_filter(nearest, size=3, mode=("nearest", "wrap"))
+    return np.where(np.isfinite(nearest), eroded, 0.0).astype(np.float32)
+
+
+def _view_cells(points: NDArray[np.float32], distance: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    elevation = np.arcsin(np.clip(points[:, 2] / np.maximum(distance, 1e-6), -1.0, 1.0))
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    row = np.clip((np.rad2deg(elevation) + 90.0).astype(np.int64), 0, _VIEW_ROWS - 1)
+    return row, np.floor(np.rad2deg(azimuth)).astype(np.int64) % _VIEW_COLUMNS
+
+
+def _voxel_keys(points: NDArray[np.float32], size: float, kind: NDArray | int) -> NDArray[np.int64]:
+    cells = np.floor((points - points.min(axis=0)) / np.float32(size)).astype(np.int64)
+    return ((cells[:, 0] << 42) | (cells[:, 1] << 23) | (cells[:, 2] << 4)) + kind
+
+
+def _voxel_means(points: NDArray[np.float32], size: float) -> NDArray[np.float32]:
+    if len(points) == 0:
+        return points
+    keys = _voxel_keys(points, size, 0)
+    order = np.argsort(keys)
+    keys = keys[order]
+    starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+    sums = np.add.reduceat(points[order].astype(np.float64), starts, axis=0)
+    return (sums / np.diff(np.r_[starts, len(keys)])[:, None]).astype(np.float32)
+
+
+def first_per_voxel(points: NDArray[np.float32], size: float, kind: NDArray | int = 0) -> NDArray[np.int64]:
+    """Index of the first point of every voxel (and of every ``kind`` in 0..15 within it), ascending."""
+    if len(points) == 0:
+        return np.empty(0, np.int64)
+    return np.sort(np.unique(_voxel_keys(points, size, kind), return_index=True)[1])

@@ -1,0 +1,291 @@
+"""Straight segments of a room's outline, moved to the true walls by their d-histograms (paper section 3.1)."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from perception.findings import Polygon
+from perception.segmentation import Histogram, Interval, local_maxima, peak_interval
+
+Vector = NDArray[np.float64]
+
+STRAIGHTNESS = 0.12
+"""Largest distance of the outline from its straight segments, metres."""
+INNER, OUTER = 0.25, 0.45
+"""How far inside and outside of an outline's segment its wall is looked for, metres."""
+SHORT = 1.2
+"""Sides below this length take the direction of the longest wall, or a right angle to it, if they nearly have it."""
+OUTER_SHARE = 0.25
+"""An outer peak is the wall if it holds this share of the highest peak of the d-histogram."""
+HEIGHT_SHARE = 0.5
+"""... and shows in this share of the heights that the fullest peak shows in: full height, not a frame or a sill."""
+CEILING_SHARE = 0.6
+"""... or if it meets the ceiling along this share of the side, as the wall above a curtain does."""
+_CEILING_ROWS = 3
+_BIN = 0.02
+_PATCH = 0.10
+
+
+@dataclass(frozen=True)
+class Views:
+    """Points ``(N, 3)`` of the map frame, and where they were seen from, if known: rows of ``stations`` ``(S, 3)``."""
+
+    points: NDArray[np.float64]
+    stations: NDArray[np.floating] | None = None
+    station_of: NDArray[np.integer] | None = None
+
+
+@dataclass(frozen=True)
+class Line:
+    """A directed side of the contour from ``start`` to ``end`` (interior on its left); ``wall`` if points hold it."""
+
+    start: Vector
+    end: Vector
+    wall: bool = False
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.end - self.start))
+
+    @property
+    def direction(self) -> Vector:
+        return (self.end - self.start) / max(self.length, 1e-9)
+
+    @property
+    def outward(self) -> Vector:
+        tx, ty = self.direction
+        return np.array([ty, -tx])
+
+    def distance(self, xy: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Signed distance of positions ``(..., 2)``, positive outside."""
+        return (xy - self.start) @ self.outward
+
+    def along(self, xy: NDArray[np.floating]) -> NDArray[np.float64]:
+        return (xy - self.start) @ self.direction
+
+    def foot(self, xy: Vector) -> Vector:
+        return self.start + self.direction * self.along(xy)
+
+    def angle_to(self, other: "Line") -> float:
+        cross = self.direction[0] * other.direction[1] - self.direction[1] * other.direction[0]
+        return float(np.arctan2(cross, self.direction @ other.direction))
+
+    def meets(self, other: "Line") -> Vector:
+        """Where the two infinite lines meet; they must not be parallel."""
+        step = np.linalg.solve(np.stack([self.direction, -other.direction], axis=1), other.start - self.start)
+        return self.start + self.direction * step[0]
+
+
+def fit_walls(outline: Polygon, views: Views, floor_z: float, ceiling_z: float) -> tuple[Polygon, NDArray[np.float64]]:
+    """Contour ``H`` and walls from the outline of the ceiling segment.
+
+    Args:
+        outline: ``(N, 2)`` counter-clockwise, map frame, accurate to some cells of an image.
+        views: the points around.
+        floor_z, ceiling_z: of the room, map frame.
+
+    Returns:
+        The contour (counter-clockwise) and one row (x0, y0, x1, y1) for each side that is a wall, interior on its left.
+    """
+    corners = cv2.approxPolyDP(outline.astype(np.float32)[:, None], STRAIGHTNESS, True)[:, 0].astype(float)
+    sides = [Line(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    height = views.points[:, 2]
+    upright = (height > floor_z + 0.15) & (height < ceiling_z - 0.08)
+    near = _near_outline(views.points[:, :2], corners)
+    points = np.flatnonzero(upright & near)
+    near_views = _subset(views, points)
+    squared = _squared([_moved_to_wall(side, near_views, ceiling_z) for side in sides], sides)
+    sides = [_moved_to_wall(side, near_views, ceiling_z) for side in squared]
+    return _assemble(_simplified(sides), corners)
+
+
+def _squared(fitted: list[Line], sides: list[Line]) -> list[Line]:
+    """Short sides turned to the directions of the longest wall: the image tells a short side's direction badly."""
+    walls = [side for side in fitted if side.wall]
+    if not walls:
+        return sides
+    ruler = max(walls, key=lambda side: side.length)
+    return [_turned(before, ruler) if before.length < SHORT else after for before, after in zip(sides, fitted, strict=True)]
+
+
+def _turned(side: Line, ruler: Line) -> Line:
+    off = (ruler.angle_to(side) + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    if abs(off) > np.deg2rad(25):
+        return side
+    cos, sin = np.cos(-off), np.sin(-off)
+    half = np.array([[cos, -sin], [sin, cos]]) @ (side.end - side.start) / 2
+    middle = (side.start + side.end) / 2
+    return Line(middle - half, middle + half)
+
+
+def _near_outline(xy: NDArray[np.floating], corners: Vector) -> NDArray[np.bool_]:
+    low, high = corners.min(axis=0) - OUTER, corners.max(axis=0) + OUTER
+    return np.all((xy >= low) & (xy <= high), axis=1)
+
+
+def _subset(views: Views, index: NDArray[np.intp]) -> Views:
+    return replace(
+        views,
+        points=views.points[index],
+        station_of=None if views.station_of is None else views.station_of[index],
+    )
+
+
+def _moved_to_wall(side: Line, views: Views, ceiling_z: float) -> Line:
+    if side.length < 0.3:
+        return side
+    trim = min(0.1, side.length / 4)
+    for _ in range(2):
+        points = _facing_points(side, views, trim)
+        below = ceiling_z - points[:, 2]
+        wall = wall_peak(side.along(points[:, :2]), side.distance(points[:, :2]), below, side.length)
+        if wall is None:
+            return replace(side, wall=False)
+        side = _fitted(side, points[wall.contains(side.distance(points[:, :2])), :2])
+    return side
+
+
+def _facing_points(side: Line, views: Views, trim: float) -> NDArray[np.float64]:
+    """Points around a side that were seen from within: the other face of the wall was not."""
+    xy = views.points[:, :2]
+    along, distance = side.along(xy), side.distance(xy)
+    chosen = (along > trim) & (along < side.length - trim) & (distance > -INNER) & (distance < OUTER)
+    if views.stations is not None and views.station_of is not None:
+        chosen &= side.distance(views.stations[:, :2])[views.station_of] < distance - 0.02
+    else:
+        chosen &= distance < 0.15
+    return views.points[chosen]
+
+
+def wall_peak(
+    along: NDArray[np.floating], distance: NDArray[np.floating], below: NDArray[np.floating], length: float
+) -> Interval | None:
+    """Interval of the d-histogram around the wall: its outer significant peak, or None if there is no wall.
+
+    The histogram counts patches of 10 x 10 cm instead of points, so that its height is an area whatever the density.
+    Curtains and cabinets stand before the wall, which shows beside or above them; what lies behind it (frames, sills)
+    neither shows over most of the height nor meets the ceiling.
+
+    Args:
+        along, distance: ``(N,)`` position along the side and outwards of it, metres.
+        below: ``(N,)`` depth under the ceiling, metres.
+        length: of the side, metres.
+    """
+    if len(distance) < 20:
+        return None
+    bins = np.floor((distance + INNER) / _BIN).astype(int) + 1
+    row, column = np.floor(below / _PATCH).astype(int), np.floor(along / _PATCH).astype(int)
+    size = int(np.ceil((INNER + OUTER) / _BIN)) + 3
+    counts = _distinct(bins, size, row, column)
+    height = _distinct(bins, size, row)
+    under_ceiling = row < _CEILING_ROWS
+    met = _distinct(bins[under_ceiling], size, column[under_ceiling])
+    peaks = local_maxima(_with_neighbours(counts), reach=2)
+    area, height, met = (_with_neighbours(values)[peaks] for values in (counts, height, met))
+    full_height = (area >= OUTER_SHARE * area.max()) & (height >= HEIGHT_SHARE * height.max())
+    significant = (full_height | (met >= CEILING_SHARE * length / _PATCH)) & (area > 0.03 * length / _PATCH * height.max())
+    if not significant.any():
+        return None
+    outer = int(peaks[significant][-1])
+    summit = max(outer - 1, 0) + int(np.argmax(counts[max(outer - 1, 0) : outer + 2]))
+    return peak_interval(Histogram(counts, -INNER - _BIN, _BIN), summit, slope=0.1)
+
+
+def _distinct(bins: NDArray[np.intp], size: int, *keys: NDArray[np.intp]) -> NDArray[np.float64]:
+    """How many distinct values of ``keys`` each bin holds."""
+    rows = np.unique(np.stack([bins, *keys], axis=1), axis=0)
+    return np.bincount(rows[:, 0], minlength=size).astype(float)
+
+
+def _with_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.convolve(values, np.ones(3), "same")
+
+
+def _fitted(side: Line, xy: NDArray[np.floating]) -> Line:
+    """The side on the line through wall points, by least squares with a shrinking tolerance."""
+    u, d = side.along(xy), side.distance(xy)
+    slope, offset = 0.0, float(np.median(d))
+    for tolerance in (0.03, 0.015, 0.01):
+        near = np.abs(d - offset - slope * u) < tolerance
+        if near.sum() < 10 or np.ptp(u[near]) < 0.3 * side.length:
+            break
+        slope, offset = (float(value) for value in np.polyfit(u[near], d[near], 1))
+    if abs(slope) * side.length > INNER + OUTER:
+        slope, offset = 0.0, float(np.median(d))
+    ends = (side.start + side.outward * offset, side.end + side.outward * (offset + slope * side.length))
+    return Line(*ends, wall=True)
+
+
+def _simplified(sides: list[Line]) -> list[Line]:
+    """Fewer sides: pieces of one wall joined, corners that the image cut off restored."""
+    changed = True
+    while changed and len(sides) > 3:
+        changed = False
+        for i in range(len(sides)):
+            before, side, after = sides[i - 1], sides[i], sides[(i + 1) % len(sides)]
+            if _same_line(before, side):
+                sides = _replaced(sides, i, _joined(before, side))
+            elif not side.wall and side.length < 0.7 and _corner_between(before, side, after):
+                sides = [other for j, other in enumerate(sides) if j != i]
+            else:
+                continue
+            changed = True
+            break
+    return sides
+
+
+def _replaced(sides: list[Line], i: int, joined: Line) -> list[Line]:
+    """``joined`` in the place of side ``i`` and the one before it."""
+    kept = list(sides)
+    kept[i] = joined
+    del kept[i - 1 if i else len(kept) - 1]
+    return kept
+
+
+def _same_line(a: Line, b: Line) -> bool:
+    offset = max(abs(a.distance((b.start + b.end) / 2)), abs(b.distance((a.start + a.end) / 2)))
+    return a.wall == b.wall and abs(a.angle_to(b)) < np.deg2rad(10) and offset < 0.05
+
+
+def _joined(a: Line, b: Line) -> Line:
+    ruler = a if a.length >= b.length else b
+    return Line(ruler.foot(a.start), ruler.foot(b.end), a.wall)
+
+
+def _corner_between(before: Line, side: Line, after: Line) -> bool:
+    """Whether two walls meet near a short side between them, so that it is only the corner cut off."""
+    if not (before.wall and after.wall):
+        return False
+    if abs(np.sin(before.angle_to(after))) < np.sin(np.deg2rad(15)):
+        return before.angle_to(after) < 0.5 and abs(before.distance(after.start)) < 0.05
+    corner = before.meets(after)
+    return float(np.linalg.norm(corner - (side.start + side.end) / 2)) < 0.6
+
+
+def _assemble(sides: list[Line], fallback: Vector) -> tuple[Polygon, NDArray[np.float64]]:
+    """Polygon through the meeting points of neighbouring sides; the unrefined corners if that is no polygon."""
+    corners: list[Vector] = []
+    spans: list[list[int]] = [[0, 0] for _ in sides]
+    for i, (side, after) in enumerate(zip(sides, sides[1:] + sides[:1], strict=True)):
+        spans[i][1] = len(corners)
+        corners += _joint(side, after)
+        spans[(i + 1) % len(sides)][0] = len(corners) - 1
+    ring = np.array(corners)
+    polygon = shapely.Polygon(ring) if len(ring) >= 3 else shapely.Polygon()
+    if not polygon.is_valid or abs(polygon.area - shapely.Polygon(fallback).area) > 0.3 * polygon.area + 1.0:
+        return fallback, np.array([[*s.start, *s.end] for s in sides if s.wall]).reshape(-1, 4)
+    walls = [[*ring[first], *ring[last]] for side, (first, last) in zip(sides, spans, strict=True) if side.wall]
+    return ring, np.array(walls, float).reshape(-1, 4)
+
+
+def _joint(side: Line, after: Line) -> list[Vector]:
+    """The corner where two sides meet, or a short step between nearly parallel ones."""
+    if abs(np.sin(side.angle_to(after))) > np.sin(np.deg2rad(15)):
+        corner = side.meets(after)
+        if np.linalg.norm(corner - (side.end + after.start) / 2) < 0.8:
+            return [corner]
+    middle = (side.end + after.start) / 2
+    return [side.foot(middle), after.foot(middle)]

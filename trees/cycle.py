@@ -1,0 +1,92 @@
+"""One cycle ``t``: a scan, its place, the maps, the next best view and the way there (paper, Fig. 1)."""
+
+from py_trees.behaviour import Behaviour
+
+from behaviours.conditions import NoScanYet, RoomIsEnded, ScanIsSetAside
+from behaviours.driving import DriveToTarget
+from behaviours.mapping import (
+    AnchorScan,
+    BuildMap,
+    LabelSpace,
+    PlaceScanSetAside,
+    RegisterGlobally,
+    RegisterScan,
+    SegmentRoom,
+)
+from behaviours.recover import Recover
+from behaviours.scanning import AlignScan, FetchScan, TakeScan, ValidateScan
+from behaviours.settings import Settings
+from behaviours.viewing import AssessRoom, ChooseView
+from trees import recovery
+from trees.compose import first_that_works, if_possible, steps
+
+
+def cycle(settings: Settings) -> Behaviour:
+    return steps(
+        "cycle",
+        registered_scan(settings),
+        if_possible(
+            "scan set aside",
+            steps("try it again", ScanIsSetAside("one waits?"), PlaceScanSetAside("register the scan set aside")),
+        ),
+        SegmentRoom("find the room's contour"),
+        BuildMap("build the robot map"),
+        LabelSpace("label the voxel space"),
+        next_view(settings),
+    )
+
+
+def registered_scan(settings: Settings) -> Behaviour:
+    """A scan with an accepted pose."""
+    return Recover(
+        "registered scan",
+        primary=steps("scan and place", scan(settings), place()),
+        recovery=recovery.bridge(),
+        attempts=2,
+    )
+
+
+def scan(settings: Settings) -> Behaviour:
+    """A usable scan: tried again on the spot, then from a spot nearby."""
+    return Recover(
+        "scan",
+        primary=Recover(
+            "scan here",
+            primary=steps(
+                "take a scan",
+                TakeScan("take the scan"),
+                FetchScan("fetch the scan"),
+                ValidateScan("validate the scan"),
+                AlignScan("align with the floor"),
+            ),
+            recovery=recovery.again_if_the_scan_failed(),
+            attempts=settings.scanning.attempts,
+        ),
+        recovery=recovery.move_nearby(),
+        attempts=settings.scanning.spots,
+    )
+
+
+def place() -> Behaviour:
+    """The first scan makes the map frame, the others are registered in it."""
+    return first_that_works(
+        "place the scan",
+        steps("first scan", NoScanYet("no scan yet?"), AnchorScan("make the map frame")),
+        RegisterScan("register from odometry"),
+        RegisterGlobally("register by features"),
+    )
+
+
+def next_view(settings: Settings) -> Behaviour:
+    """The room is complete, or the robot stands at the next best view that can be reached."""
+    return Recover(
+        "next view",
+        primary=steps(
+            "view",
+            ChooseView("choose the next best view"),
+            AssessRoom("judge λ and μ"),
+            first_that_works("go on", RoomIsEnded("room ended?"), DriveToTarget("drive to the view")),
+        ),
+        recovery=recovery.next_best_instead(),
+        attempts=settings.driving.view_attempts,
+    )

@@ -1,0 +1,28 @@
+"""One room: cycles until λ and μ say that enough was seen, then its doors."""
+
+from py_trees.behaviour import Behaviour
+
+from behaviours.conditions import RoomIsEnded, RoomIsOpen
+from behaviours.rooms import BeginRoom, FindDoors, GiveUpRoom
+from behaviours.settings import Settings
+from trees.compose import first_that_works, if_possible, steps, until_failure
+from trees.cycle import cycle
+
+
+def room(settings: Settings) -> Behaviour:
+    return steps(
+        "room",
+        BeginRoom("begin the room"),
+        first_that_works("scan the room", cycles(settings), GiveUpRoom("give the room up")),
+        if_possible("look for doors", FindDoors("find open doors")),
+    )
+
+
+def cycles(settings: Settings) -> Behaviour:
+    """Cycle after cycle while the room is open; a cycle that fails for good leaves it open."""
+    return steps(
+        "cycles",
+        until_failure("while open", steps("cycle of an open room", cycle(settings), RoomIsOpen("more to see?"))),
+        # The loop also ends when a cycle fails; then the room is still open and given up above.
+        RoomIsEnded("all seen?"),
+    )

@@ -13,7 +13,7 @@ class Condition(Leaf):
     def holds(self) -> bool:
         raise NotImplementedError(type(self).__name__)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         return Status.SUCCESS if self.holds() else Status.FAILURE
 
 
@@ -43,6 +43,13 @@ class NoScanYet(Condition):
 
     def holds(self) -> bool:
         return not self.read(Key.SURVEY).scans
+
+
+class MapFrameIsMade(NoScanYet):
+    """Whether there is something to register to."""
+
+    def holds(self) -> bool:
+        return not super().holds()
 
 
 class ScanIsSetAside(Condition):

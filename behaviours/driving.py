@@ -7,16 +7,20 @@ from py_trees.common import Status
 from behaviours.job import JobLeaf
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
-from behaviours.survey import Survey, Target
-from drivers.interfaces import DriveGoal, DriveReport
+from behaviours.survey import PlanarPose, Survey, Target
+from drivers.interfaces import BaseState, DriveGoal, DriveReport
 from drivers.jobs import Job
+from perception import transforms
 from perception.failure import Failure, FailureError
+from perception.transforms import Matrix
+
+_STILL_M, _STILL_RAD = 0.01, 0.005
 
 
 class DriveToTarget(JobLeaf):
     """Drives to the target in the robot map M(t); what it drove over is free floor from then on."""
 
-    reads = (Key.TARGET,)
+    reads = (Key.TARGET, Key.BASE)
     writes = (Key.SURVEY,)
     timeout_code = "NAV_TIMEOUT"
 
@@ -27,9 +31,10 @@ class DriveToTarget(JobLeaf):
             raise FailureError("NAV_NO_TARGET", "no place to drive to was chosen")
         if survey.map_id is None:
             raise FailureError("NAV_NO_MAP", "no robot map yet, so nowhere is known to be free")
-        # A pose that registration has just found is better than the base's own; after a drive it is stale.
-        known = survey.scans[-1].map_from_base if survey.driven == 0 else None
         robot_map = self.services.files.robot_map(survey.map_id)
+        base: BaseState | None = self.read(Key.BASE)
+        self._set_out = None if base is None else base.odom_from_base
+        known = _registered_pose(survey, base)
         return self.services.base.drive(
             DriveGoal(target.goal_id, robot_map, survey.map_id, known, target.x, target.y, target.yaw)
         )
@@ -46,10 +51,18 @@ class DriveToTarget(JobLeaf):
 
     def failed(self, failure: Failure) -> Status:
         survey: Survey = self.read(Key.SURVEY)
-        track, distance = _driven(failure.evidence)
+        track, distance = _driven(failure.evidence) if "distance" in failure.evidence else self._sensed()
         self.write(Key.SURVEY, survey.with_drive(track, distance))
         self._record(failure.code, distance)
         return super().failed(failure)
+
+    def _sensed(self) -> tuple[tuple[PlanarPose, ...], float]:
+        """Track and distance of a drive whose end nobody reported, as far as telemetry tells."""
+        base: BaseState | None = self.read(Key.BASE)
+        if base is None or self._set_out is None:
+            return (), 0.0
+        place = () if base.map_from_base is None else (transforms.to_planar(base.map_from_base),)
+        return place, transforms.difference(self._set_out, base.odom_from_base)[0]
 
     def _record(self, result: str, distance: float) -> None:
         target: Target = self.read(Key.TARGET)
@@ -74,7 +87,7 @@ class TargetHere(Leaf):
     def place(self, survey: Survey) -> tuple[float, float, float | None]:
         raise NotImplementedError(type(self).__name__)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey: Survey = self.read(Key.SURVEY)
         x, y, yaw = self.place(survey)
         survey, goal_id = survey.next_goal()
@@ -132,7 +145,19 @@ def back_along(survey: Survey, distance: float) -> tuple[float, float, float | N
     return survey.track[0][0], survey.track[0][1], None
 
 
-def _driven(evidence: Mapping[str, object]) -> tuple[tuple[tuple[float, float, float], ...], float]:
+def _registered_pose(survey: Survey, base: BaseState | None) -> Matrix | None:
+    """``map_from_base`` as registration found it, better than the base's own estimate; None once the wheels turned.
+
+    Odometry tells, because nobody may have reported a drive that timed out, or one that only turned the base.
+    """
+    last = survey.scans[-1]
+    if base is None:
+        return None
+    metres, radians = transforms.difference(last.odom_from_base, base.odom_from_base)
+    return last.map_from_base if metres < _STILL_M and radians < _STILL_RAD else None
+
+
+def _driven(evidence: Mapping[str, object]) -> tuple[tuple[PlanarPose, ...], float]:
     """Track and distance out of a drive that failed half-way."""
     track = evidence.get("track") or ()
     distance = evidence.get("distance") or 0.0

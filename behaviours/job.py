@@ -33,7 +33,7 @@ class JobLeaf(Leaf):
         self._began = self.services.clock.now()
         self._job = self.start()
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         assert self._job is not None
         outcome = self._job.poll()
         if isinstance(outcome, Done):
@@ -56,6 +56,7 @@ class JobLeaf(Leaf):
         return self.fail(failure)
 
     def terminate(self, new_status: Status) -> None:
+        # Whoever ends a job sets it to None; one that is left here was interrupted, or its driver raised.
         job, self._job = getattr(self, "_job", None), None
-        if job is not None and new_status == Status.INVALID:
+        if job is not None:
             job.cancel()

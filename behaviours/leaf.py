@@ -14,7 +14,7 @@ from perception.failure import Failure, FailureError
 class Leaf(py_trees.behaviour.Behaviour):
     """A behaviour that names the keys it reads and writes, and answers only SUCCESS, FAILURE or RUNNING.
 
-    A concrete leaf implements :meth:`begin` (clear and start) and :meth:`tick_once` (poll, at most 5 ms). Any
+    A concrete leaf implements :meth:`begin` (clear and start) and :meth:`step` (poll, at most 5 ms). Any
     exception becomes FAILURE with a typed error, so that no bug of a leaf can leave the base driving.
     """
 
@@ -23,7 +23,7 @@ class Leaf(py_trees.behaviour.Behaviour):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.logger = logging.getLogger(f"mission.tree.{name}")
+        self.logger = logging.getLogger(f"mission.tree.{name}")  # type: ignore[assignment]
         self.services: Services
         self._keys = self.attach_blackboard_client(name=name)
         for key in self.reads:
@@ -37,7 +37,7 @@ class Leaf(py_trees.behaviour.Behaviour):
     def begin(self) -> None:
         """Clear what the last run left and start; may raise FailureError."""
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         """Poll; may raise FailureError."""
         raise NotImplementedError(type(self).__name__)
 
@@ -52,7 +52,7 @@ class Leaf(py_trees.behaviour.Behaviour):
         if self._stillborn is not None:
             return self.fail(self._stillborn)
         try:
-            status = self.tick_once()
+            status = self.step()
         except Exception as error:
             return self.fail(as_failure(error, self.name))
         if status not in (Status.SUCCESS, Status.FAILURE, Status.RUNNING):

@@ -76,7 +76,7 @@ class SetScanAside(Leaf):
     reads = (Key.SCAN,)
     writes = (Key.SURVEY,)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey, scan = self.read(Key.SURVEY), self.read(Key.SCAN)
         self.write(Key.SURVEY, replace(survey, set_aside=(*survey.set_aside, scan)))
         self.say(f"{scan.scan_id} waits for a bridging scan")
@@ -117,9 +117,10 @@ class SegmentRoom(StageLeaf):
         survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
         return {
             "room_id": room_id,
-            "cycle": len(survey.cycles.get(room_id, ())) + 1,
+            "cycle": survey.cycle_number(room_id),
             "seed": survey.building.room(room_id).seed,
             "scans": poses(survey.scans_near(room_id)),
+            "others": [shape.contour for other, shape in survey.shapes.items() if other != room_id],
             "previous": survey.shapes.get(room_id),
         }
 
@@ -133,6 +134,7 @@ class SegmentRoom(StageLeaf):
 class BuildMap(StageLeaf):
     """Section 3.2: couples this scan's map with M(t-1); the floor the robot stood and drove on is free."""
 
+    reads = (Key.ROOM,)
     writes = (Key.SURVEY,)
     stage = "build_map"
 
@@ -144,6 +146,8 @@ class BuildMap(StageLeaf):
             "pose": latest.map_from_scanner.tolist(),
             "previous": survey.map_id,
             "track": list(survey.track),
+            "room_id": self.read(Key.ROOM),
+            "cycle": survey.cycle_number(self.read(Key.ROOM)),
         }
 
     def finish(self, value: Any) -> Status:
@@ -164,7 +168,7 @@ class LabelSpace(StageLeaf):
         room = self.services.settings.room
         return {
             "room_id": room_id,
-            "cycle": len(survey.cycles.get(room_id, ())) + 1,
+            "cycle": survey.cycle_number(room_id),
             "shape": survey.shapes[room_id],
             "scans": poses(survey.scans_near(room_id)),
             "voxel": room.voxel_m,

@@ -3,14 +3,17 @@
 from collections.abc import Iterator
 
 import py_trees
-from py_trees.common import Status
+from py_trees.common import Access, Status
+
+from behaviours.keys import Key
 
 
 class Recover(py_trees.composites.Composite):
     """Runs ``primary``; when it fails, ``recovery``, and then ``primary`` again, ``attempts`` times in all.
 
     SUCCESS as soon as the primary succeeds. FAILURE when the recovery fails, or with the last attempt: the recovery
-    never runs after it. Like a sequence with memory it goes on where it was at the next tick.
+    never runs after it. A recovery that fails does not hide what it was to help with: the primary's failure stands
+    on the blackboard again. Like a sequence with memory it goes on where it was at the next tick.
 
     Raises:
         ValueError: if ``attempts`` is less than one.
@@ -30,14 +33,17 @@ class Recover(py_trees.composites.Composite):
         self.recovery = recovery
         self.attempts = attempts
         self._attempt = 1
+        self._keys = self.attach_blackboard_client(name=name)
+        self._keys.register_key(Key.FAILURE, Access.WRITE)
+        self._cause: object = None
 
     def tick(self) -> Iterator[py_trees.behaviour.Behaviour]:
         if self.status != Status.RUNNING:
             self._attempt = 1
             self.current_child = self.primary
-            for child in self.children:
-                if child.status != Status.INVALID:
-                    child.stop(Status.INVALID)
+            for finished in self.children:
+                if finished.status != Status.INVALID:
+                    finished.stop(Status.INVALID)
         child = self.current_child
         assert child is not None
         yield from child.tick()
@@ -57,9 +63,11 @@ class Recover(py_trees.composites.Composite):
                 return Status.SUCCESS
             if self._attempt >= self.attempts:
                 return Status.FAILURE
+            self._cause = self._keys.get(Key.FAILURE) if self._keys.exists(Key.FAILURE) else None
             self.current_child = self.recovery
             return Status.RUNNING
         if status != Status.SUCCESS:
+            self._keys.set(Key.FAILURE, self._cause)
             return Status.FAILURE
         self._attempt += 1
         self.current_child = self.primary

@@ -20,7 +20,7 @@ class BeginRoom(Leaf):
     reads = (Key.DOOR,)
     writes = (Key.SURVEY, Key.ROOM, Key.AVOID)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey: Survey = self.read(Key.SURVEY)
         door_id = self.read(Key.DOOR)
         seed = (0.0, 0.0) if door_id is None else plan.beyond(survey.building.door_from_known_side(door_id), 0.8)
@@ -34,16 +34,18 @@ class BeginRoom(Leaf):
 
 
 class GiveUpRoom(Leaf):
-    """Ends a room that cannot be finished, with the failure that stood in the way as its reason."""
+    """Ends a room that cannot be finished, with the failure that first stood in the way as its reason."""
 
     reads = (Key.ROOM, Key.FAILURE)
     writes = (Key.SURVEY,)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey: Survey = self.read(Key.SURVEY)
+        room_id = self.read(Key.ROOM)
+        if survey.building.room(room_id).status == "partial":
+            return Status.SUCCESS
         failure: Failure | None = self.read(Key.FAILURE)
         reason = failure.code if failure else "UNKNOWN"
-        room_id = self.read(Key.ROOM)
         self.write(Key.SURVEY, replace(survey, building=survey.building.end_room(room_id, "partial", reason)))
         self.services.journal.record("room_ended", room_id=room_id, status="partial", reason=reason)
         self.say(f"{room_id} stays partial: {failure}")
@@ -83,7 +85,7 @@ class ChooseDoor(Leaf):
     reads = (Key.ROOM,)
     writes = (Key.SURVEY, Key.DOOR, Key.TARGET)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey: Survey = self.read(Key.SURVEY)
         if len(survey.building.rooms) >= self.services.settings.building.max_rooms:
             raise FailureError("MAX_ROOMS", f"{len(survey.building.rooms)} rooms, the most this mission may have")
@@ -105,7 +107,7 @@ class DeferDoor(Leaf):
     reads = (Key.DOOR, Key.FAILURE)
     writes = (Key.SURVEY,)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey: Survey = self.read(Key.SURVEY)
         failure: Failure | None = self.read(Key.FAILURE)
         building = survey.building.defer(self.read(Key.DOOR), failure.code if failure else "UNKNOWN")

@@ -16,7 +16,7 @@ class SenseBase(Leaf):
 
     writes = (Key.BASE,)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         state = self.services.base.state()
         self.write(Key.BASE, state)
         self.say("no telemetry yet" if state is None else f"{state.activity}, battery {state.battery:.0%}")
@@ -56,6 +56,8 @@ class EndMission(JobLeaf):
     """Brings the base to rest and writes how the mission ended; the outcome is data, not this leaf's status."""
 
     writes = (Key.OUTCOME,)
+    timeout_code = "STOP_TIMEOUT"
+    patience_s = 60.0
 
     def __init__(self, name: str, outcome: str) -> None:
         super().__init__(name)
@@ -63,6 +65,9 @@ class EndMission(JobLeaf):
 
     def start(self) -> Job[None]:
         return self.services.base.stop()
+
+    def timeout(self) -> float:
+        return self.patience_s
 
     def finish(self, value: None) -> Status:
         self.write(Key.OUTCOME, self.outcome)

@@ -101,8 +101,10 @@ class Survey:
         """Where the base stands, x and y; the origin before the first scan."""
         return self.track[-1][:2] if self.track else (0.0, 0.0)
 
-    def scan(self, scan_id: str) -> ScanRecord:
-        return next(scan for scan in self.scans if scan.scan_id == scan_id)
+    def cycle_number(self, room_id: str) -> int:
+        """The cycle ``t`` of a room that its newest scan belongs to; counts from one."""
+        newest = self.scans[-1].scan_id if self.scans else None
+        return 1 + sum(cycle.scan_id != newest for cycle in self.cycles.get(room_id, ()))
 
     def scans_near(self, room_id: str) -> tuple[ScanRecord, ...]:
         """Scans of a room and of the rooms that a door joins it with: those that can have seen into it."""

@@ -6,6 +6,7 @@ from py_trees.common import Status
 
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
+from behaviours.mapping import poses
 from behaviours.scanning import StageLeaf
 from behaviours.survey import Avoided, Cycle, Survey, Target
 from perception import stopping
@@ -27,11 +28,13 @@ class ChooseView(StageLeaf):
         room, driving = self.services.settings.room, self.services.settings.driving
         return {
             "room_id": room_id,
-            "cycle": len(survey.cycles.get(room_id, ())) + 1,
+            "cycle": survey.cycle_number(room_id),
             "shape": survey.shapes[room_id],
-            "map_id": survey.map_id,
-            "position": survey.position,
+            "scan_id": survey.scans[-1].scan_id,
+            "pose": survey.track[-1],
+            "stations": poses(survey.scans_near(room_id)),
             "track": list(survey.track),
+            "map_id": survey.map_id,
             "avoid": [(view.x, view.y, driving.avoid_radius_m) for view in avoid],
             "rule": room.candidate_rule,
             "gain": room.gain,
@@ -56,7 +59,7 @@ class AssessRoom(Leaf):
     reads = (Key.ROOM, Key.COUNTS, Key.VIEW, Key.AVOID)
     writes = (Key.SURVEY, Key.TARGET)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
         view: ViewChoice = self.read(Key.VIEW)
         scan_id = survey.scans[-1].scan_id
@@ -112,7 +115,7 @@ class AvoidView(Leaf):
     reads = (Key.TARGET,)
     writes = (Key.AVOID,)
 
-    def tick_once(self) -> Status:
+    def step(self) -> Status:
         target: Target | None = self.read(Key.TARGET)
         if target is None:
             return Status.FAILURE

@@ -21,7 +21,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-agent = typer.Typer(help="Start an agent: the process on the scanner's or on the base's computer.", no_args_is_help=True)
+agent = typer.Typer(
+    help="Start an agent: the process on the scanner's or on the base's computer.", no_args_is_help=True
+)
 app.add_typer(agent, name="agent")
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout; words go to stderr.")]

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from py_trees.behaviour import Behaviour
 from py_trees.blackboard import Blackboard
@@ -11,6 +12,8 @@ from behaviours.keys import Key
 from behaviours.services import Services
 from behaviours.survey import Survey
 from drivers.jobs import Running
+
+log = logging.getLogger("mission")
 
 TICK = 0.1
 """Seconds of the wall from one tick to the next."""
@@ -50,15 +53,16 @@ class Executive:
 
     def run(self) -> str:
         """Tick to the end; the outcome is ``complete``, ``incomplete``, ``aborted``, ``safety_stop`` or ``fault``."""
-        Blackboard.set(Key.SURVEY, Survey())
+        _wipe_blackboard()
         outcome = "fault"
         try:
             for node in self.root.iterate():
                 node.setup(services=self._services)
             outcome = self._tick_to_the_end()
         except Exception as error:
-            logging.getLogger("mission").exception("the tick failed")
-            self._services.journal.record("failure", leaf="tick", code="TICK_EXCEPTION", message=repr(error))
+            log.exception("the tick failed")
+            note = {"leaf": "tick", "code": "TICK_EXCEPTION", "message": repr(error)}
+            _attempt(lambda: self._services.journal.record("failure", **note))
         finally:
             self._come_to_rest()
         return outcome
@@ -102,8 +106,14 @@ class Executive:
                 self._shown[node] = node.status
 
     def _come_to_rest(self) -> None:
-        self.root.stop(Status.INVALID)
-        self._record_transitions()
+        """Stop every node and the base, whichever of them, or the journal, is what failed."""
+        for node in self.root.iterate():
+            # Each by itself: after an exception in mid-tick a parent may not know that its child runs.
+            _attempt(partial(node.stop, Status.INVALID))
+        _attempt(self._stand_still)
+        _attempt(self._record_transitions)
+
+    def _stand_still(self) -> None:
         stop = self._services.base.stop()
         for _ in range(_STOP_PATIENCE):
             if not isinstance(stop.poll(), Running):
@@ -126,6 +136,20 @@ def active_branch(root: Behaviour) -> list[Behaviour]:
         branch.append(node)
         node = next((child for child in node.children if child.status == Status.RUNNING), None)
     return branch
+
+
+def _wipe_blackboard() -> None:
+    """It is global to the process: nothing of an earlier mission may be taken for this one's."""
+    for key in Key:
+        Blackboard.unset(key)
+    Blackboard.set(Key.SURVEY, Survey())
+
+
+def _attempt(act: Callable[[], object]) -> None:
+    try:
+        act()
+    except Exception:
+        log.exception("on the way out")
 
 
 def _named_paths(node: Behaviour, above: str = "") -> Iterator[tuple[Behaviour, str]]:

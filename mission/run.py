@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any, TypeVar
 
 from behaviours.services import Services
-from drivers.interfaces import Base, BaseInfo, Scanner, ScannerInfo
+from drivers.interfaces import Base, Scanner
 from drivers.jobs import Done, Failed, Job
 from drivers.wire.base_client import BaseClient
 from drivers.wire.scanner_client import ScannerClient
@@ -63,7 +63,6 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
         journal = JsonLines(folder.events, clock, watch=lambda event: newest.update({event["kind"]: event}))
         stack.callback(journal.close)
         scanner = ScannerClient(config.scanner)
-        stack.callback(scanner.close)
         base = BaseClient(config.base)
         stack.callback(base.close)
         preflight(scanner, base, journal)
@@ -108,19 +107,20 @@ def summarise(folder: RunFolder, state: dict[str, Any]) -> Summary:
     )
 
 
-def preflight(scanner: Scanner, base: Base, journal: JsonLines) -> tuple[ScannerInfo, BaseInfo]:
-    """Ask both agents who they are; both must answer before anything moves."""
-    infos, silent = [], []
-    for name, job in (("scanner", scanner.info()), ("base", base.info())):
-        answer = wait_for(job, _PREFLIGHT_S)
-        if isinstance(answer, Failure):
-            silent.append(f"{name}: {answer}")
-        else:
-            infos.append(answer)
-            journal.record("agent", name=name, model=answer.model, serial=answer.serial, protocol=answer.protocol)
+def preflight(scanner: Scanner, base: Base, journal: JsonLines) -> None:
+    """Ask both agents who they are and wait for the base's telemetry; all must be there before anything moves."""
+    answers = {"scanner": wait_for(scanner.info(), _PREFLIGHT_S), "base": wait_for(base.info(), _PREFLIGHT_S)}
+    silent = [f"{name}: {answer}" for name, answer in answers.items() if isinstance(answer, Failure)]
     if silent:
         raise UnreachableError("; ".join(silent))
-    return infos[0], infos[1]
+    until = time.monotonic() + _PREFLIGHT_S
+    while base.state() is None:
+        if time.monotonic() > until:
+            raise UnreachableError(f"base: no telemetry within {_PREFLIGHT_S:.0f} s")
+        time.sleep(0.02)
+    for name, answer in answers.items():
+        assert not isinstance(answer, Failure)
+        journal.record("agent", name=name, model=answer.model, serial=answer.serial, protocol=answer.protocol)
 
 
 def wait_for(job: Job[T], seconds: float) -> T | Failure:

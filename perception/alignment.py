@@ -201,7 +201,7 @@ def _fit_normal(
         normal = np.array([-slopes[0], -slopes[1], 1.0]) / np.sqrt(1.0 + slopes @ slopes)
         z = sample @ normal
         member = [np.abs(z - np.median(z[chosen])) < tolerance for chosen in member if chosen.any()]
-    return normal
+    return np.asarray(normal, float)
 
 
 def _centre(heights: NDArray[np.floating], level: Interval) -> float:

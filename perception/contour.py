@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from perception.failure import FailureError
 from perception.findings import Polygon, RoomShape
+from perception.polar import crossed_between
 from perception.segmentation import Levels, floor_and_ceiling, one_per_voxel
 from perception.walls import Views, fit_walls
 
@@ -29,6 +31,7 @@ DOOR_HEIGHT = 2.1
 """Above it the wall over a door is closed, metres over the floor."""
 _SLICE = 0.10
 _OVERHEAD = np.deg2rad(60.0)
+_AZIMUTH = np.deg2rad(0.5)
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,10 @@ class _Volume:
         last = int(min(high / _SLICE + 1e-6, self.slices.shape[2]))
         return self.slices[:, :, first : max(last, first + 1)]
 
+    def any(self, low: float, high: float) -> Image:
+        """Pixels with a point between two heights over the floor."""
+        return np.logical_or.reduce(self.band(low, high), axis=2)
+
     def pixels(self, xy: NDArray[np.floating]) -> NDArray[np.int64]:
         """(row, column) of map positions ``(N, 2)``."""
         return np.floor((xy - self.origin) / CELL).astype(np.int64)[:, ::-1]
@@ -55,7 +62,7 @@ class _Volume:
     def inside(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
         return np.all((pixels >= 0) & (pixels < self.shape), axis=1)
 
-    def corners(self, outline: NDArray[np.integer]) -> NDArray[np.float64]:
+    def corners(self, outline: NDArray[np.floating]) -> NDArray[np.float64]:
         """Map positions of pixel centres given as (column, row)."""
         return (outline + 0.5) * CELL + self.origin
 
@@ -73,7 +80,8 @@ def room_shape(
 
     The ceiling image is labelled and the segment nearest to the seed (or that overlaps ``previous`` most) is the room.
     A pixel whose column is filled between door height and ceiling is a barrier, so that rooms never merge over a door:
-    the wall above it closes the gap. A barrier over free floor that is longer than any door is a beam and none. Where
+    the wall above it closes the gap. Over free floor a
+    barrier that is longer than any door, or that beams passed beneath on their way to the ceiling, is a beam and none. Where
     there is no ceiling, a pixel belongs to the room if beams crossed it above door height (needs ``stations``), or
     else if its floor was seen. The segment's outline becomes straight segments, each of which is moved to the outer
     significant peak of its d-histogram; segments with no wall behind them end where sight ended and H grows later.
@@ -95,8 +103,9 @@ def room_shape(
     chosen = chosen[one_per_voxel(points[chosen], 0.025, limit=2_000_000)]
     views = Views(points[chosen].astype(float), stations, None if station_of is None else station_of[chosen])
     volume = _volume(views.points, levels)
-    barrier = _barriers(volume, levels)
-    covered = _covered(volume, views, levels, barrier)
+    skimmed = _skimmed(volume, views, levels)
+    barrier = _barriers(volume, levels, skimmed)
+    covered = _covered(volume, views, levels, barrier) | skimmed
     for polygon in others:
         barrier |= _drawn(volume, np.asarray(shapely.Polygon(polygon).buffer(-CELL).exterior.coords))
     region = _segment(volume, covered, barrier, centre, previous)
@@ -119,7 +128,7 @@ def interior_mask(points: NDArray[np.floating], shape: RoomShape, margin: float 
 def _inside(xy: NDArray[np.floating], ring: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Even-odd rule, one vectorised step per side: much faster than a library call per point."""
     inside = np.zeros(len(xy), bool)
-    for (x0, y0), (x1, y1) in zip(ring[:-1], ring[1:], strict=True):
+    for (x0, y0), (x1, y1) in pairwise(ring):
         if y0 != y1:
             crosses = (xy[:, 1] >= min(y0, y1)) & (xy[:, 1] < max(y0, y1))
             inside ^= crosses & (xy[:, 0] < x0 + (xy[:, 1] - y0) * ((x1 - x0) / (y1 - y0)))
@@ -139,16 +148,16 @@ def _volume(points: NDArray[np.floating], levels: Levels) -> _Volume:
     return _Volume(slices, origin)
 
 
-def _barriers(volume: _Volume, levels: Levels) -> Image:
-    """Pixels of walls and lintels: columns filled between door height and the lowest main ceiling."""
+def _barriers(volume: _Volume, levels: Levels, skimmed: Image) -> Image:
+    """Pixels of walls and lintels: columns filled between door height and the main ceiling, but for beams."""
     height = _main_ceiling(volume, levels)
     bottom = min(DOOR_HEIGHT, height - 0.3)
     upper = cv2.dilate(volume.band(bottom, height - 0.08).astype(np.uint8), _disc(1.0))
     upper = upper[:, :, None] if upper.ndim == 2 else upper
     closed = upper.mean(axis=2) >= 0.7
-    middle = cv2.dilate(volume.band(1.0, 1.9).any(axis=2).astype(np.uint8), _disc(1.0)) > 0
-    below = cv2.dilate(volume.band(0.0, 0.9).any(axis=2).astype(np.uint8), _disc(1.0)) > 0
-    return closed & ~_longer_than(closed & below & ~middle, LINTEL_SPAN)
+    middle, below = (cv2.dilate(volume.any(*b).astype(np.uint8), _disc(1.0)) > 0 for b in ((1.0, 1.9), (0.0, 0.9)))
+    lintel = closed & below & ~middle
+    return closed & ~(lintel & (skimmed | _longer_than(lintel, LINTEL_SPAN)))
 
 
 def _main_ceiling(volume: _Volume, levels: Levels) -> float:
@@ -159,7 +168,7 @@ def _main_ceiling(volume: _Volume, levels: Levels) -> float:
 
 
 def _longer_than(mask: Image, span: float) -> Image:
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     extent = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * CELL
     extent[0] = 0.0
     return (extent > span)[labels]
@@ -172,10 +181,29 @@ def _covered(volume: _Volume, views: Views, levels: Levels, barrier: Image) -> I
     """
     if not levels.ceilings:
         return _crossed(volume, views, levels)
-    image = volume.band(DOOR_HEIGHT, np.inf).any(axis=2)
+    image = volume.any(DOOR_HEIGHT, np.inf)
     for station in [] if views.stations is None else views.stations:
         blind = (levels.ceilings[-1].peak - station[2]) / np.tan(_OVERHEAD)
         image |= _line_of_sight(volume, barrier, station, blind + 2 * CELL)
+    return image
+
+
+def _skimmed(volume: _Volume, views: Views, levels: Levels) -> Image:
+    """Pixels that beams crossed above door height on their way to the ceiling further out, where it is sparse."""
+    image = np.zeros(volume.shape, bool)
+    if views.stations is None or views.station_of is None:
+        return image
+    rows, columns = np.indices(volume.shape).reshape(2, -1)
+    places = volume.corners(np.stack([columns, rows], axis=1))
+    for index, station in enumerate(views.stations):
+        for level in levels.ceilings:
+            own = views.points[(views.station_of == index) & level.contains(views.points[:, 2]), :2]
+            clearance = min(level.peak - levels.floor.peak - DOOR_HEIGHT - 0.1, 0.5)
+            if len(own) == 0 or clearance <= 0.0:
+                continue
+            above = level.peak - station[2]
+            crossed = crossed_between(own - station[:2], places - station[:2], above, clearance, _AZIMUTH, REACH)
+            image |= crossed.reshape(volume.shape)
     return image
 
 
@@ -223,7 +251,8 @@ def _segment(
     bridged = cv2.morphologyEx((covered & ~barrier).astype(np.uint8), cv2.MORPH_CLOSE, _disc(GAP / CELL))
     filled = _filled(bridged.astype(bool) & ~barrier, ~barrier)
     core = cv2.erode(filled.astype(np.uint8), _disc(NECK / CELL))
-    count, labels = cv2.connectedComponents(core, connectivity=4)
+    count, found = cv2.connectedComponents(core, connectivity=4)
+    labels = np.asarray(found, np.int32)
     label = _label_of_room(volume, labels, count, seed, previous)
     room = cv2.dilate((labels == label).astype(np.uint8), _disc(NECK / CELL + 1)).astype(bool) & filled
     return _filled(_part_with(room, labels == label), np.ones(volume.shape, bool))
@@ -288,4 +317,4 @@ def _ceiling_height(points: NDArray[np.floating], volume: _Volume, region: Image
 
 def _disc(radius: float) -> NDArray[np.uint8]:
     size = 2 * round(radius) + 1
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)).astype(np.uint8)

@@ -12,13 +12,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from perception import transforms
+from perception.building import before, beyond, door_pose
 from perception.findings import Door, DoorFindings, RoomShape
 from perception.scan import Scan
 from perception.transforms import Matrix
 from perception.wall_evidence import CELL, Beam, Evidence, Wall, gather, local_points, walls_of
 
+__all__ = ["DoorGates", "before", "beyond", "door_pose", "find_doors"]
+
 NOMINAL_THICKNESS = 0.15
 """Of a wall whose other face was not seen, metres."""
+
+_AROUND, _ASIDE = 8.0, 4.0
+"""How far before, behind and beside a hole points are looked at, metres: a mirror shows the whole room."""
 
 _LOW, _MIDDLE, _TOP = round(0.15 / CELL), round(0.9 / CELL), round(1.85 / CELL)
 
@@ -38,17 +44,19 @@ class DoorGates:
     floor_step: float = 0.03
     free_depth: float = 0.8
     min_depth_width: float = 0.5
+    min_deep_view: float = 0.25
     reach: float = 0.45
     mirrored: float = 0.6
-    glass: float = 0.15
+    glass: float = 0.4
 
 
 @dataclass(frozen=True)
 class _Opening:
-    """A hole in a wall with the points around it in wall coordinates (u, d, z)."""
+    """A hole in a wall, what beams did at its plane and deeper in, and the points around it as (u, d, z)."""
 
     wall: Wall
     evidence: Evidence
+    deeper: Evidence
     left: float
     right: float
     height: float
@@ -61,7 +69,7 @@ class _Opening:
     @property
     def inner_columns(self) -> slice:
         """Without the cells that the jambs cut."""
-        return slice(self.columns.start + 2, self.columns.stop - 2)
+        return slice(self.columns.start + 3, self.columns.stop - 3)
 
     def within(self, low: float, high: float, left: float | None = None, right: float | None = None) -> NDArray:
         """Points of the opening's width (or another) between two heights above the floor."""
@@ -94,8 +102,9 @@ def find_doors(
         evidence = gather(wall, scans, ranges)
         points: NDArray[np.float32] | None = None
         for left, right in _holes(evidence, gates):
-            points = local_points(wall, cloud) if points is None else points
-            opening = _measured(wall, evidence, left, right, points)
+            if points is None:
+                points, deeper = local_points(wall, cloud), gather(wall.moved(gates.free_depth), scans, ranges)
+            opening = _measured(wall, evidence, deeper, left, right, points)
             door, gate = _judge(opening, robot_width, gates)
             if gate is None:
                 doors.append(door)
@@ -104,25 +113,9 @@ def find_doors(
     return DoorFindings(tuple(doors), tuple(refused))
 
 
-def door_pose(door: Door) -> tuple[float, float, float]:
-    """(x, y, yaw) under the door: between its jambs, in the middle of the wall, looking out of the room."""
-    x, y = beyond(door, door.thickness / 2)
-    return x, y, float(np.arctan2(door.normal[1], door.normal[0]))
-
-
-def beyond(door: Door, distance: float) -> tuple[float, float]:
-    """(x, y) on the door's axis, ``distance`` metres past the wall plane."""
-    return door.x + distance * door.normal[0], door.y + distance * door.normal[1]
-
-
-def before(door: Door, distance: float) -> tuple[float, float]:
-    """(x, y) on the door's axis, ``distance`` metres before the wall plane, inside the room."""
-    return beyond(door, -distance)
-
-
 def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> NDArray[np.float32]:
-    """All points between a little below the floor and the ceiling, up to 4 m around the room, map frame."""
-    low, high = shape.contour.min(axis=0) - 4.0, shape.contour.max(axis=0) + 4.0
+    """All points between a little below the floor and the ceiling, in and around the room, map frame."""
+    low, high = shape.contour.min(axis=0) - _AROUND, shape.contour.max(axis=0) + _AROUND
     clouds = []
     for scan, map_from_scanner in scans:
         points = transforms.apply(map_from_scanner, scan.points)
@@ -157,10 +150,12 @@ def _runs(state: NDArray, bridge: int) -> list[tuple[int, int]]:
     return runs
 
 
-def _measured(wall: Wall, evidence: Evidence, first: int, last: int, points: NDArray[np.float32]) -> _Opening:
+def _measured(
+    wall: Wall, evidence: Evidence, deeper: Evidence, first: int, last: int, points: NDArray[np.float32]
+) -> _Opening:
     """The hole with its jambs from the points themselves and its height from the rows."""
-    around = points[(points[:, 0] > first * CELL - 2.5) & (points[:, 0] < last * CELL + 2.5)]
-    around = around[np.abs(around[:, 1]) < 4.0]
+    around = points[(points[:, 0] > first * CELL - _ASIDE) & (points[:, 0] < last * CELL + _ASIDE)]
+    around = around[np.abs(around[:, 1]) < _AROUND]
     on_wall = around[(np.abs(around[:, 1]) < 0.03) & (around[:, 2] > 0.2) & (around[:, 2] < 1.8)]
     left = _jamb(on_wall, first * CELL, -1.0)
     right = _jamb(on_wall, last * CELL, 1.0)
@@ -170,7 +165,7 @@ def _measured(wall: Wall, evidence: Evidence, first: int, last: int, points: NDA
     shut = (reached >= 0.3 * len(decided)) & (free < 0.5 * reached)
     above = np.flatnonzero(shut[_MIDDLE:])
     height = (above[0] + _MIDDLE) * CELL if len(above) else decided.shape[1] * CELL
-    return _Opening(wall, evidence, left, right, float(height), around)
+    return _Opening(wall, evidence, deeper, left, right, float(height), around)
 
 
 def _jamb(on_wall: NDArray[np.float32], edge: float, side: float) -> float:
@@ -191,6 +186,7 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
     thickness = _thickness(opening)
     x, y = wall.at((left + right) / 2)
     rows = slice(_LOW, min(_TOP, round(opening.height / CELL)))
+    inner_rows = slice(rows.start + 1, rows.stop - 2)
     fill = opening.evidence.share((opening.columns, rows), Beam.OPEN)
     door = Door(
         x=float(x),
@@ -206,7 +202,7 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
         "width": gates.min_width <= door.width <= gates.max_width,
         "height": _height_fits(opening, gates),
         "sill": _reaches_floor(opening),
-        "glass": opening.evidence.glassy((opening.inner_columns, rows)) < gates.glass,
+        "glass": opening.evidence.echoes((opening.inner_columns, inner_rows)) < gates.glass,
         "fill": door.confidence >= gates.fill,
         "jambs": all(_jamb_stands(opening, side, gates) for side in (-1, 1)),
         "floor": _floor_goes_on(opening, gates),
@@ -242,8 +238,10 @@ def _floor_goes_on(opening: _Opening, gates: DoorGates) -> bool:
     """The ground behind the hole, up to 1.5 m deep, is floor at the same height and not a step down or a ledge."""
     low = opening.within(-1.0, 0.25)
     ground = low[(low[:, 1] > 0.10) & (low[:, 1] < 1.5), 2]
-    level = np.count_nonzero(np.abs(ground) <= gates.floor_step)
-    return bool(level >= 5 and level >= 0.5 * len(ground))
+    levels, edges = np.histogram(ground, np.arange(-1.0, 0.26, 0.02))
+    commonest = int(np.argmax(levels))
+    # The commonest height, because the feet of leaves and walls stand on the floor too but spread over all heights.
+    return bool(levels[commonest] >= 5 and abs(edges[commonest] + 0.01) <= gates.floor_step)
 
 
 def _net_interval(opening: _Opening, front: float, back: float) -> tuple[float, float]:
@@ -268,15 +266,17 @@ def _thickness(opening: _Opening) -> float:
         if len(reveal) >= 15:
             gaps = np.flatnonzero(np.diff(reveal) > 0.05)
             depths.append(float(reveal[gaps[0]] if len(gaps) else reveal[-1]))
-    plausible = [depth for depth in depths if 0.06 <= depth <= 0.5]
+    plausible = [depth for depth in depths if 0.06 <= depth <= 0.45]
     return min(plausible) if plausible else NOMINAL_THICKNESS
 
 
 def _goes_on(opening: _Opening, gates: DoorGates) -> bool:
-    """There is room to stand behind the hole, and something was measured deeper than a cupboard's back."""
+    """There is room to stand behind the hole, and beams went deeper than a cupboard's back."""
     left, right = _net_interval(opening, 0.0, gates.free_depth)
-    deeper = opening.points[opening.points[:, 1] > gates.free_depth]
-    return bool(right - left >= gates.min_depth_width and len(deeper) >= 20)
+    aside = round(gates.free_depth / CELL)
+    columns = slice(max(0, opening.columns.start - aside), opening.columns.stop + aside)
+    passed = np.any(opening.deeper.decided[columns, _LOW:_TOP] == Beam.OPEN, axis=1)
+    return bool(right - left >= gates.min_depth_width and np.count_nonzero(passed) * CELL >= gates.min_deep_view)
 
 
 def _is_mirror(opening: _Opening, gates: DoorGates) -> bool:
@@ -295,7 +295,7 @@ def _is_mirror(opening: _Opening, gates: DoorGates) -> bool:
 
     def repeats(shift: float) -> NDArray[np.bool_]:
         displaced = reflected + np.array([0, shift, 0], np.float32)
-        return np.isfinite(tree.query(displaced, distance_upper_bound=0.05, workers=2)[0])
+        return np.isfinite(tree.query(displaced, distance_upper_bound=0.06, workers=2)[0])
 
     telling = ~(repeats(0.25) | repeats(-0.25))
     return bool(np.count_nonzero(telling) >= 50 and np.mean(repeats(0.0)[telling]) > gates.mirrored)

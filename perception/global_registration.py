@@ -52,7 +52,7 @@ def register_globally(
     """
     found: list[Registration] = []
     for hypothesis in _hypotheses(source.surfels, reference.surfels, near, radius, yaw):
-        result = register(source, reference, hypothesis, "global")
+        result = register(source, reference, hypothesis, "global", starts=(0,))
         if all(not _same(result, other) for other in found):
             found.append(result)
     if not found:
@@ -130,7 +130,7 @@ def _score(upright: Surfels, volume: NDArray[np.uint8], yaw: float, height: floa
     return _correlate(volume, _channel(turned, height), cells, reach)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _correlate(
     volume: NDArray[np.uint8], channel: NDArray[np.int64], cells: NDArray[np.int64], reach: int
 ) -> NDArray[np.int32]:

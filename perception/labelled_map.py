@@ -20,6 +20,10 @@ FLOOR_CLEARANCE = 0.03
 """A layer whose lower face is not this far above the floor holds floor points: tilt and noise, metres."""
 
 
+SWALLOWED = 3
+"""Unseen voxels above the blind cone that make a pixel within the minimum range of a station an obstacle."""
+
+
 @dataclass(frozen=True)
 class Robot:
     """How much room the robot needs, metres.
@@ -79,7 +83,8 @@ def candidates(
     Label requirement, ``paper``: the pixel is empty. ``graded``: nothing in it is occupied, most of its voxels are
     known to be empty, and the floor was seen in it or beside it. Under both, what lies in the blind cone of a
     station counts as empty where the rest of the pixel was seen, and the robot's footprint at ``pose`` and along
-    ``driven`` is free whatever the labels say: otherwise nothing around the robot is legal and no path starts.
+    ``driven`` is free whatever the labels say: otherwise nothing around the robot is legal and no path starts. What
+    stays unseen within the minimum range of a station, above its cone, is an obstacle: it let no beam through.
 
     Args:
         pose: (x, y, yaw) of the robot now, map frame; may lie in a doorway just outside the space.
@@ -91,20 +96,19 @@ def candidates(
     places = np.vstack([_planar(stations), poses[-1:, :2]])
     pad = _padding(space, poses[-1, :2])
     labels = np.pad(space.labels, (pad[0], pad[1], (0, 0)))  # OUTSIDE
-    frame = Grid(
-        labels[:, :, 0].T, (space.origin[0] - pad[0][0] * space.size, space.origin[1] - pad[1][0] * space.size), space.size
-    )
+    corner = (space.origin[0] - pad[0][0] * space.size, space.origin[1] - pad[1][0] * space.size)
+    room = labels.max(axis=2).T != Label.OUTSIDE
+    frame = Grid(room, corner, space.size)
     seed = _footprints(frame, poses, robot.footprint)
     free, occupied = _columns(labels, space, frame, sensor, floor_z, places, rule)
     if robot_map is not None:
         occupied |= _obstacles_on(frame, robot_map)
     # Outside the contour is a wall, seen or not (it may be glass), but not around the doorway the robot stands in.
-    wall = (labels.max(axis=2).T == Label.OUTSIDE) & (_distance(seed, frame) > robot.security_goal)
+    wall = ~room & (_distance(seed, frame) > robot.security_goal)
     clearance = _distance((occupied | wall) & ~seed, frame)
     passable = (free & (clearance >= robot.security_path)) | seed
     length = _path_lengths(passable, tuple(frame.cells_of(poses[-1])), frame.resolution)
-    mask = (free | seed) & (clearance >= robot.security_goal) & np.isfinite(length)
-    mask &= labels.max(axis=2).T != Label.OUTSIDE
+    mask = room & (free | seed) & (clearance >= robot.security_goal) & np.isfinite(length)
     inner = (slice(pad[1][0], mask.shape[0] - pad[1][1]), slice(pad[0][0], mask.shape[1] - pad[0][1]))
     return CandidateField(_grid(space, mask[inner]), _grid(space, length[inner]))
 
@@ -114,13 +118,13 @@ def _grid(space: VoxelSpace, data: NDArray) -> Grid:
 
 
 def _planar(places: ArrayLike) -> NDArray[np.float64]:
-    places = np.asarray(places, float)
-    return places.reshape(len(places), -1)[:, :2] if places.size else np.empty((0, 2))
+    array = np.asarray(places, np.float64)
+    return array[:, :2] if array.size else np.empty((0, 2))
 
 
 def _layer_floors(space: VoxelSpace, floor_z: float) -> NDArray[np.float64]:
     """Height of each layer's lower face above the floor, metres."""
-    return space.origin[2] + np.arange(space.labels.shape[2]) * space.size - floor_z
+    return np.arange(space.labels.shape[2], dtype=np.float64) * space.size + (space.origin[2] - floor_z)
 
 
 def _body_layers(space: VoxelSpace, scanner_height: float, floor_z: float) -> Mask:
@@ -135,8 +139,8 @@ def _padding(space: VoxelSpace, position: NDArray[np.float64]) -> tuple[tuple[in
     nx, ny, _ = space.labels.shape
     low = np.floor((position - surroundings - space.origin[:2]) / space.size).astype(int)
     high = np.ceil((position + surroundings - space.origin[:2]) / space.size).astype(int)
-    (x, u), (y, v) = zip(np.maximum(-low, 1), np.maximum(high - (nx, ny), 1), strict=True), (0, 0)
-    return (int(x), int(u)), (int(y), int(v))
+    before, after = np.maximum(-low, 1), np.maximum(high - (nx, ny), 1)
+    return (int(before[0]), int(after[0])), (int(before[1]), int(after[1]))
 
 
 def _columns(
@@ -149,27 +153,30 @@ def _columns(
     rule: Rule,
 ) -> tuple[Mask, Mask]:
     """Pixels that meet the label requirement, and pixels with something occupied, ``[row, column]``."""
-    body = _body_layers(space, sensor.height, floor_z)
     heights = _layer_floors(space, floor_z)
+    body = _body_layers(space, sensor.height, floor_z)
     away = _distance_to(frame, stations).T
-    blind = away[:, :, None] < np.array([sensor.blind_radius(h) for h in heights[body]])
     column = labels[:, :, body]
-    column = np.where(blind & (column == Label.OCCLUDED), np.uint8(Label.EMPTY), column)
-    occupied = np.any(column == Label.OCCUPIED, axis=2)
-    if rule == "paper":
-        return (column.max(axis=2) == Label.EMPTY).T, occupied.T
-    mostly_seen = np.count_nonzero(column == Label.EMPTY, axis=2) * 2 > column.shape[2]
-    below = labels[:, :, heights < FLOOR_CLEARANCE]
-    floor = np.any(below == Label.OCCUPIED, axis=2).astype(np.uint8)
-    floor_seen = cv2.dilate(floor, np.ones((3, 3), np.uint8)).astype(bool) | (away < sensor.blind_radius(0.0))
-    return (mostly_seen & ~occupied & floor_seen).T, occupied.T
+    in_cone = away[:, :, None] < np.array([sensor.blind_radius(h) for h in heights[body]])
+    column = np.where(in_cone & (column == Label.OCCLUDED), np.uint8(Label.EMPTY), column)
+    unseen = np.count_nonzero(column == Label.OCCLUDED, axis=2)
+    # Beams that should have gone through here from so near met something nearer than the scanner can measure.
+    swallowed = (away < sensor.range_min) & (unseen >= SWALLOWED)
+    occupied = np.any(column == Label.OCCUPIED, axis=2) | swallowed
+    seen = column.max(axis=2) == Label.EMPTY
+    if rule == "graded":
+        beside_station = away < sensor.blind_radius(0.0)
+        mostly_seen = np.count_nonzero(column == Label.EMPTY, axis=2) > unseen
+        seen |= mostly_seen & ~occupied & ~beside_station
+        floor = np.any(labels[:, :, heights < FLOOR_CLEARANCE] == Label.OCCUPIED, axis=2).astype(np.uint8)
+        seen &= beside_station | (cv2.dilate(floor, np.ones((3, 3), np.uint8)) > 0)
+    return seen.T, occupied.T
 
 
 def _distance_to(frame: Grid, places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance from each pixel to the nearest of the places, metres."""
-    rows, columns = frame.shape
-    centres = frame.centres_of(np.stack(np.mgrid[:rows, :columns], axis=-1))
-    return np.min([np.hypot(*np.moveaxis(centres - place, -1, 0)) for place in places], axis=0)
+    x, y = np.moveaxis(frame.centres_of(np.moveaxis(np.indices(frame.shape), 0, -1)), -1, 0)
+    return np.min([np.hypot(x - px, y - py) for px, py in places], axis=0)
 
 
 def _footprints(frame: Grid, poses: NDArray[np.float64], footprint: tuple[float, float]) -> Mask:

@@ -40,9 +40,7 @@ def count_hits(
 
 
 @njit(cache=True)
-def range_image(
-    points: NDArray[np.float32], beam: NDArray[np.int32], rows: int, columns: int
-) -> NDArray[np.float32]:
+def range_image(points: NDArray[np.float32], beam: NDArray[np.int32], rows: int, columns: int) -> NDArray[np.float32]:
     """The ranges that :meth:`perception.scan.Scan.range_image` gives, in one pass over a million points."""
     image = np.zeros((rows, columns), np.float32)
     for n in range(len(beam)):
@@ -103,7 +101,11 @@ def empty_by_range(
     elevation_step: float,
     azimuth_step: float,
 ) -> NDArray[np.int64]:
-    """Voxels that most of their returned beams went past; beams are sampled 3 x 3 across the voxel."""
+    """Voxels that most of their returned beams went past; beams are sampled 3 x 3 across the voxel.
+
+    Where two or more of the samples end inside, a surface runs through that left no point: a far floor, say, which
+    is not empty and still has to be scanned. A single one is noise.
+    """
     _, ny, nz = labels.shape
     rows, columns = ranges.shape
     flat = labels.ravel()
@@ -121,7 +123,7 @@ def empty_by_range(
         column_spread = _SAMPLE * size / (max(across, size) * azimuth_step)
         # The scanner's axes need not be the voxel's: the half side is the least it takes to reach the far side.
         far_side = distance + 0.5 * size
-        votes = 0
+        votes, ended = 0, 0
         for u in range(-1, 2):
             r = int(np.rint(row + u * row_spread))
             if r < 0 or r >= rows:
@@ -131,7 +133,8 @@ def empty_by_range(
                 measured = ranges[r, c + columns if c < 0 else (c - columns if c >= columns else c)]
                 if measured > 0:
                     votes += 1 if measured > far_side else -1
-        if votes > 0:
+                    ended += abs(measured - distance) <= 0.5 * size
+        if votes > 0 and ended < 2:
             found[count] = index
             count += 1
     return found[:count]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from perception import ray_walk
+from perception.failure import FailureError
 from perception.findings import Candidate, ViewChoice
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import CandidateField
@@ -17,6 +18,9 @@ from perception.sensor import Sensor
 Weight = Literal["all", "surface"]
 NOT_EVALUATED = -1
 LISTED = 20
+"""Views in the choice, at most."""
+REFINED = 8
+"""Leaders of the coarse count whose neighbours are counted too."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ def next_best_view(
     weight: Weight = "all",
     avoid: Sequence[tuple[float, float, float]] = (),
     travel: Travel | None = None,
-    max_rays: int = 40_000_000,
+    max_rays: int = 30_000_000,
     separation: float = 0.5,
 ) -> tuple[ViewChoice, Grid]:
     """Rank the candidates by the occluded voxels that a scan there would show.
@@ -45,9 +49,9 @@ def next_best_view(
     pixel's centre, and in free sight (:mod:`perception.ray_walk`): occupied voxels and the outside of the room
     block, occluded ones do not, for they may turn out empty.
 
-    The count is exact. Up to ``max_rays`` pairs of candidate and voxel all candidates are counted; beyond that those
-    on a coarser lattice first, then the neighbours of the best, so that the very best may be missed by a pixel or
-    two. Ties go to the shorter path, then to the lower row and column.
+    The count is exact. Up to ``max_rays`` pairs of candidate and voxel all candidates are counted; beyond that one in
+    each block of a coarser lattice, then the neighbours of the best, so that the best of all may be missed. Ties go
+    to the shorter path, then to the lower row and column.
 
     Args:
         weight: ``all`` occluded voxels count (the paper), or only those of the ``surface`` of what is unseen.
@@ -55,13 +59,16 @@ def next_best_view(
         travel: rank by gain per second of driving and scanning instead of by gain.
         separation: least distance between two listed views, metres.
 
+    Raises:
+        FailureError: ``NBV_SENSOR_OUTSIDE`` if the optical centre lies above or below the space.
+
     Returns:
         The best views with the number of candidates, and the gain of each pixel, NOT_EVALUATED where not counted.
     """
     cells = np.argwhere(field.mask.data & ~_avoided(field.mask, avoid))
     gains = np.full(field.mask.shape, NOT_EVALUATED, np.int64)
     if len(cells):
-        _count(space, cells, gains, sensor, floor_z, weight, max_rays)
+        _count(cells, _Counter(space, sensor, floor_z, weight, cells), gains, max_rays)
     counted = np.argwhere(gains > NOT_EVALUATED)
     path = field.path_length.data[tuple(counted.T)]
     gain = gains[tuple(counted.T)]
@@ -85,50 +92,69 @@ def surface(space: VoxelSpace) -> NDArray[np.bool_]:
 
 
 def _avoided(frame: Grid, avoid: Sequence[tuple[float, float, float]]) -> NDArray[np.bool_]:
-    rows, columns = frame.shape
-    centres = frame.centres_of(np.stack(np.mgrid[:rows, :columns], axis=-1))
+    x, y = np.moveaxis(frame.centres_of(np.moveaxis(np.indices(frame.shape), 0, -1)), -1, 0)
     mask = np.zeros(frame.shape, bool)
-    for x, y, radius in avoid:
-        mask |= np.hypot(centres[..., 0] - x, centres[..., 1] - y) <= radius
+    for centre_x, centre_y, radius in avoid:
+        mask |= np.hypot(x - centre_x, y - centre_y) <= radius
     return mask
 
 
-def _count(
-    space: VoxelSpace,
-    cells: NDArray[np.int64],
-    gains: NDArray[np.int64],
-    sensor: Sensor,
-    floor_z: float,
-    weight: Weight,
-    max_rays: int,
-) -> None:
-    """Fill in the gains of the cells, all of them or coarse to fine."""
-    unseen = space.labels == Label.OCCLUDED if weight == "all" else surface(space)
-    blocking = (space.labels == Label.OCCUPIED) | (space.labels == Label.OUTSIDE)
-    unseen &= _not_enclosed(blocking, cells, _level(space, sensor, floor_z) // ray_walk.SUBDIVISION)
-    targets = np.argwhere(unseen)
-    scale = ray_walk.SUBDIVISION / space.size
+class _Counter:
+    """Counts, for cells (row, column), the unseen voxels that the sensor would see from above them."""
 
-    def evaluate(chosen: NDArray[np.int64]) -> None:
-        places = np.column_stack(
-            [
-                chosen[:, ::-1] * ray_walk.SUBDIVISION + ray_walk.SUBDIVISION // 2,
-                np.full(len(chosen), _level(space, sensor, floor_z)),
-            ]
-        )
-        gains[tuple(chosen.T)] = ray_walk.count_visible(
-            blocking,
-            targets,
-            places,
-            np.tan(sensor.elevation_min),
-            np.tan(sensor.elevation_max),
-            sensor.range_min * scale,
-            sensor.range_max * scale,
-        )
+    def __init__(
+        self, space: VoxelSpace, sensor: Sensor, floor_z: float, weight: Weight, cells: NDArray[np.int64]
+    ) -> None:
+        self._level = round((floor_z + sensor.height - space.origin[2]) / space.size * ray_walk.SUBDIVISION)
+        if not 0 <= self._level < space.labels.shape[2] * ray_walk.SUBDIVISION:
+            raise FailureError("NBV_SENSOR_OUTSIDE", "the scanner would stand above or below the room's voxels")
+        self._slopes = _slope(sensor.elevation_min), _slope(sensor.elevation_max)
+        scale = ray_walk.SUBDIVISION / space.size
+        self._ranges = sensor.range_min * scale, sensor.range_max * scale
+        self._blocking = (space.labels == Label.OCCUPIED) | (space.labels == Label.OUTSIDE)
+        unseen = space.labels == Label.OCCLUDED if weight == "all" else surface(space)
+        self.targets = np.argwhere(unseen & self._within_reach(cells))
 
-    stride = 1
-    while len(cells) / stride**2 * len(targets) > max_rays:
-        stride += 1
-    evaluate(cells[np.all(cells % stride == 0, axis=1)])
+    def __call__(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        centres = cells[:, ::-1] * ray_walk.SUBDIVISION + ray_walk.SUBDIVISION // 2
+        places = np.column_stack([centres, np.full(len(cells), self._level)])
+        return ray_walk.count_visible(self._blocking, self.targets, places, self._slopes, self._ranges)
+
+    def _within_reach(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Voxels that are not walled off from every cell; rays pass corners, so 26 neighbours connect."""
+        starts = (cells[:, 1], cells[:, 0], np.full(len(cells), self._level // ray_walk.SUBDIVISION))
+        passable = ~self._blocking
+        passable[starts] = True
+        part, count = ndimage.label(passable, np.ones((3, 3, 3), bool))
+        open_parts = np.zeros(count + 1, bool)
+        open_parts[part[starts]] = True
+        return open_parts[part]
+
+
+def _slope(elevation: float) -> float:
+    """Tangent of an elevation, infinite at the zenith and the nadir, where the view has no edge."""
+    return float(np.tan(elevation)) if abs(elevation) < 0.5 * np.pi - 1e-9 else float(np.copysign(np.inf, elevation))
+
+
+def _count(cells: NDArray[np.int64], counter: _Counter, gains: NDArray[np.int64], max_rays: int) -> None:
+    """Fill in the gains of all cells, or where that is too much of one in each block and all around the best."""
+    stride = max(1, int(np.ceil(np.sqrt(len(cells) * len(counter.targets) / max_rays))))
+    _, first = np.unique(cells // stride, axis=0, return_index=True)
+    gains[tuple(cells[first].T)] = counter(cells[first])
     if stride > 1:
-        _refine(cells, gains, stride, evaluate)
+        coarse = gains[tuple(cells.T)]
+        leaders = cells[np.argsort(-coarse, kind="stable")[:REFINED]]
+        apart = np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1)
+        around = cells[(apart < stride) & (coarse == NOT_EVALUATED)]
+        gains[tuple(around.T)] = counter(around)
+
+
+def _spread(places: NDArray[np.float64], ranked: NDArray[np.int64], separation: float) -> list[int]:
+    """The first of the ranking that keep their distance from those before them, at most LISTED."""
+    chosen: list[int] = []
+    for n in ranked:
+        if all(np.hypot(*(places[n] - places[m])) >= separation for m in chosen):
+            chosen.append(int(n))
+            if len(chosen) == LISTED:
+                break
+    return chosen

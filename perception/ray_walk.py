@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 SUBDIVISION = 64
 _HALF = SUBDIVISION // 2
-_NEVER = np.int64(2**62)
-_ONE = np.int64(1)
+_NEVER = 2**62
 _MAX_LAYERS = 62
 """Layers that fit into the bits of a signed word."""
 
@@ -30,7 +29,7 @@ def is_clear(blocking: NDArray[np.bool_], i: int, j: int, k: int, x: int, y: int
     The walk starts at the voxel, because a hidden voxel mostly lies close behind what hides it.
     """
     dx, dy, dz = x - (SUBDIVISION * i + _HALF), y - (SUBDIVISION * j + _HALF), z - (SUBDIVISION * k + _HALF)
-    step_i, step_j, step_k = np.sign(dx), np.sign(dy), np.sign(dz)
+    step_i, step_j, step_k = (1 if dx > 0 else -1), (1 if dy > 0 else -1), (1 if dz > 0 else -1)
     ax, ay, az = max(abs(dx), 1), max(abs(dy), 1), max(abs(dz), 1)
     # Times at which the walk crosses the next face along each axis, all multiplied by ax ay az to stay whole.
     next_x = _HALF * ay * az if dx != 0 else _NEVER
@@ -66,10 +65,10 @@ def count_visible(
     Args:
         blocking: ``(nx, ny, nz)``.
         targets: ``(U, 3)`` voxels in lexicographic order.
-        slopes: tangents of the least and greatest elevation.
+        slopes: tangents of the least and greatest elevation, infinite for a view without that edge.
         ranges: least and greatest range, in the units of the places.
     """
-    nx, ny, nz = blocking.shape
+    _, ny, nz = blocking.shape
     seen = np.zeros(len(places), np.int64)
     if nz > _MAX_LAYERS:
         for n in range(len(places)):
@@ -84,11 +83,11 @@ def count_visible(
         first = 0
         while first < len(targets):
             i, j = targets[first, 0], targets[first, 1]
-            wanted = np.int64(0)
+            wanted = 0
             while first < len(targets) and targets[first, 0] == i and targets[first, 1] == j:
                 k = targets[first, 2]
                 if _in_view(i, j, k, x, y, z, slopes, ranges):
-                    wanted |= _ONE << k
+                    wanted |= 1 << k
                 first += 1
             if wanted:
                 seen[n] += _bit_count(_clear_layers(walls, ny, i, j, wanted, x, y, z))
@@ -102,6 +101,7 @@ def _in_view(
     dx, dy, dz = SUBDIVISION * i + _HALF - x, SUBDIVISION * j + _HALF - y, SUBDIVISION * k + _HALF - z
     across = dx * dx + dy * dy
     level = np.sqrt(across)
+    # An infinite slope times a level of zero is not a number, compares false, and so is in view: as it should be.
     if dz < slopes[0] * level or dz > slopes[1] * level:
         return False
     return ranges[0] * ranges[0] <= across + dz * dz <= ranges[1] * ranges[1]
@@ -116,7 +116,7 @@ def _column_bits(blocking: NDArray[np.bool_]) -> NDArray[np.int64]:
         for j in range(ny):
             for k in range(nz):
                 if blocking[i, j, k]:
-                    bits[i * ny + j] |= _ONE << k
+                    bits[i * ny + j] |= 1 << k
     return bits
 
 
@@ -151,8 +151,8 @@ def _clear_layers(walls: NDArray[np.int64], ny: int, i: int, j: int, wanted: int
     next_y = _HALF * ax if dy != 0 else _NEVER
     grow_x, grow_y = SUBDIVISION * ay, SUBDIVISION * ax
     start, end = i * ny + j, x // SUBDIVISION * ny + y // SUBDIVISION
-    lowest, highest = _shrunk(wanted, np.int64(0), np.int64(_MAX_LAYERS))
-    here, entered = start, np.int64(0)
+    lowest, highest = _shrunk(wanted, 0, _MAX_LAYERS)
+    here, entered = start, 0
     level, pace = z / SUBDIVISION, 1.0 / whole
     while True:
         left = whole if here == end else min(next_x, next_y)
@@ -160,12 +160,12 @@ def _clear_layers(walls: NDArray[np.int64], ny: int, i: int, j: int, wanted: int
         low, high = lowest + 0.5, highest + 0.5
         bottom = low + (level - low) * pace * (entered if level > low else left) - 1e-6
         top = high + (level - high) * pace * (left if level > high else entered) + 1e-6
-        if walls[here] & _layers(np.int64(bottom), np.int64(top)):
+        if walls[here] & _layers(int(bottom), int(top)):
             wanted = _unblocked(
                 walls[here], wanted, lowest, highest, z, entered, left, whole, here == start, here == end
             )
             if not wanted:
-                return np.int64(0)
+                return 0
             lowest, highest = _shrunk(wanted, lowest, highest)
         if here == end:
             return wanted
@@ -181,7 +181,7 @@ def _clear_layers(walls: NDArray[np.int64], ny: int, i: int, j: int, wanted: int
 @njit(cache=True)
 def _layers(first: int, last: int) -> int:
     """Bits of the layers from first to last, both included."""
-    return ((_ONE << (last - first + 1)) - 1) << first
+    return ((1 << (last - first + 1)) - 1) << first
 
 
 @njit(cache=True)
@@ -200,7 +200,7 @@ def _unblocked(
     """Those of the wanted rays that cross no blocked layer of a column between two times."""
     layer = SUBDIVISION * whole
     for k in range(lowest, highest + 1):
-        bit = _ONE << k
+        bit = 1 << k
         if not wanted & bit:
             continue
         centre = SUBDIVISION * k + _HALF
@@ -210,7 +210,7 @@ def _unblocked(
         if at_start:
             crossed &= ~bit
         if at_end:
-            crossed &= ~(_ONE << (z // SUBDIVISION))
+            crossed &= ~(1 << (z // SUBDIVISION))
         if wall & crossed:
             wanted &= ~bit
     return wanted

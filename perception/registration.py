@@ -31,7 +31,7 @@ class Level:
     iterations: int
 
 
-LEVELS = (Level(0.5, 3000, 25), Level(0.2, 6000, 20), Level(0.08, 12000, 15), Level(0.03, 20000, 15))
+LEVELS = (Level(0.5, 2000, 25), Level(0.2, 3000, 20), Level(0.08, 5000, 15), Level(0.03, 10000, 12))
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class RegistrationLimits:
     """
 
     min_overlap: float = 0.15
-    min_agreement: float = 0.75
-    max_rmse: float = 0.012
+    min_agreement: float = 0.70
+    max_rmse: float = 0.015
     max_conflict: float = 0.03
     min_eigenvalue: float = 0.02
     sigmas: float = 3.0
@@ -117,7 +117,9 @@ def anchor(map_from_scanner: Matrix) -> Registration:
     return Registration(map_from_scanner, 1.0, 0.0, 1.0, 1 / 3, (0.0, 0.0, 1.0), 0.0, 0.0, "anchor")
 
 
-def register(source: Surface, reference: Reference, guess: Matrix, method: str = "icp") -> Registration:
+def register(
+    source: Surface, reference: Reference, guess: Matrix, method: str = "icp", starts: Sequence[int] = (0, 1)
+) -> Registration:
     """Align a scan to the reference by point-to-plane ICP, coarse to fine, with Tukey's weights.
 
     Args:
@@ -125,6 +127,8 @@ def register(source: Surface, reference: Reference, guess: Matrix, method: str =
         reference: the model (:func:`reference_from`) in the map frame.
         guess: ``map_from_scanner`` as odometry (or a global search) has it.
         method: name to put into the result.
+        starts: levels to start from; the more plausible result wins. Where little of the scan is known ground, coarse
+            pairs can drag it away from a guess that was good enough.
 
     Returns:
         The pose with its figures, good or bad; :func:`judge` decides.
@@ -140,9 +144,9 @@ def register(source: Surface, reference: Reference, guess: Matrix, method: str =
             reference=len(reference.surfels),
         )
     shuffled = source.surfels.pick(np.random.default_rng(0).permutation(len(source.surfels)))
-    # Where little of the scan is known ground, coarse pairs can drag it away from a guess that was good enough.
-    poses = [_descend(shuffled, reference, guess, LEVELS[skipped:]) for skipped in (0, 1)]
-    return max((_assess(source, reference, guess, pose, method) for pose in poses), key=plausibility)
+    poses = [_descend(shuffled, reference, guess, LEVELS[start:]) for start in starts]
+    judged = Surface(shuffled.pick(np.s_[: LEVELS[-1].samples]), source.sight)
+    return max((_assess(judged, reference, guess, pose, method) for pose in poses), key=plausibility)
 
 
 def plausibility(registration: Registration) -> float:
@@ -193,7 +197,7 @@ def _gauss_newton_step(moved: Surfels, reference: Reference, distance: float, pi
 
 
 def _assess(source: Surface, reference: Reference, guess: Matrix, pose: Matrix, method: str) -> Registration:
-    found, residual, normals, along = _residuals(source.surfels.moved(pose), reference, 0.10)
+    _, residual, normals, along = _residuals(source.surfels.moved(pose), reference, 0.10)
     on_surface = along < 0.10
     close = on_surface & (np.abs(residual) < LEVELS[-1].distance)
     count = int(np.count_nonzero(close))
@@ -246,31 +250,36 @@ def judge(
         raise refuse("REG_DIVERGED", "the registration is not finite")
     if registration.overlap < limits.min_overlap:
         raise refuse(
-            "REG_LOW_OVERLAP", f"only {registration.overlap:.0%} of the scan lies on known surface "
+            "REG_LOW_OVERLAP",
+            f"only {registration.overlap:.0%} of the scan lies on known surface "
             f"(at least {limits.min_overlap:.0%} needed)",
         )
     agreement = registration.fitness / registration.overlap
     if agreement < limits.min_agreement or registration.rmse > limits.max_rmse:
         raise refuse(
-            "REG_DIVERGED", f"{agreement:.0%} of the overlap fits, to {registration.rmse * 1000:.1f} mm rms "
+            "REG_DIVERGED",
+            f"{agreement:.0%} of the overlap fits, to {registration.rmse * 1000:.1f} mm rms "
             f"(needed {limits.min_agreement:.0%} within {limits.max_rmse * 1000:.0f} mm)",
         )
     if registration.conflict > limits.max_conflict:
         raise refuse(
-            "REG_DIVERGED", f"{registration.conflict:.0%} of the surface that could be compared would have been seen "
+            "REG_DIVERGED",
+            f"{registration.conflict:.0%} of the surface that could be compared would have been seen "
             f"through (at most {limits.max_conflict:.0%})",
         )
     if registration.min_eigenvalue < limits.min_eigenvalue:
         heading = np.rad2deg(np.arctan2(registration.weak_axis[1], registration.weak_axis[0]))
         raise refuse(
-            "REG_DEGENERATE", f"nothing holds the scan along {heading:.0f} degrees "
+            "REG_DEGENERATE",
+            f"nothing holds the scan along {heading:.0f} degrees "
             f"(eigenvalue {registration.min_eigenvalue:.4f}, at least {limits.min_eigenvalue:.4f} needed)",
         )
     allowed_m = limits.sigmas * expected_error[0] + limits.slack_m
     allowed_rad = limits.sigmas * expected_error[1] + limits.slack_rad
     if registration.correction_m > allowed_m or registration.correction_rad > allowed_rad:
         raise refuse(
-            "REG_INCONSISTENT", f"the scan lies {registration.correction_m:.2f} m and "
+            "REG_INCONSISTENT",
+            f"the scan lies {registration.correction_m:.2f} m and "
             f"{np.rad2deg(registration.correction_rad):.1f} degrees from where odometry has it "
             f"(at most {allowed_m:.2f} m and {np.rad2deg(allowed_rad):.1f} degrees)",
         )

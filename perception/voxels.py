@@ -58,7 +58,7 @@ def label(
     Voxels with points are OCCUPIED; one with fewer than ``min_points`` must have a neighbour with points (26 of
     them), so that a stray return in the air is no obstacle. OCCLUDED voxels that the scan saw through become EMPTY:
 
-    - ``range``: most of the returned beams towards the voxel went past its far side as measured;
+    - ``range``: most of the returned beams towards the voxel went past its far side, and at most one ended in it;
     - ``paper``: the beam towards its centre returned, and no occupied voxel nearer to the scanner hides the centre
       (spheres of radius ``l / sqrt 2``, occluded iff alpha > beta, Figure 4).
 

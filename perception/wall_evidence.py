@@ -1,7 +1,7 @@
 """What every beam did at a wall: hit it, passed it, was stopped before it, or came back with nothing (section 2)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -52,6 +52,10 @@ class Wall:
     def outward(self) -> NDArray[np.float64]:
         return np.array([self.along[1], -self.along[0]])
 
+    def moved(self, d: float) -> "Wall":
+        """The parallel rectangle ``d`` metres further out."""
+        return replace(self, start=self.at(0.0, d))
+
     @property
     def wall_from_map(self) -> Matrix:
         """4x4 from map coordinates to (u, d, z above the floor)."""
@@ -87,10 +91,11 @@ class Evidence:
         tested = np.count_nonzero(decided >= 0)
         return float(np.count_nonzero(decided == beam) / tested) if tested else float("nan")
 
-    def glassy(self, part: tuple[slice, slice]) -> float:
-        """Of the cells in a part that beams passed, the share where others were thrown back."""
-        solid, passed = self.counts[Beam.SOLID][part], self.counts[Beam.OPEN][part]
-        return float(np.count_nonzero((solid > 0) & (passed > 0)) / max(np.count_nonzero(passed), 1))
+    def echoes(self, part: tuple[slice, slice]) -> float:
+        """Share of a part's 4 x 4 blocks that threw back some beam at the plane: a pane does so all over."""
+        solid = self.counts[Beam.SOLID][part] > 0
+        blocks = [block.any() for row in np.array_split(solid, 4, axis=0) for block in np.array_split(row, 4, axis=1)]
+        return float(np.mean(blocks))
 
 
 def gather(wall: Wall, scans: Sequence[tuple[Scan, Matrix]], ranges: Sequence[NDArray[np.float32]]) -> Evidence:
@@ -117,7 +122,7 @@ def gather(wall: Wall, scans: Sequence[tuple[Scan, Matrix]], ranges: Sequence[ND
     return Evidence(counts)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _count(
     counts: NDArray[np.int32],
     image: NDArray[np.float32],
@@ -167,7 +172,9 @@ def walls_of(shape: RoomShape, points: NDArray[np.float32]) -> list[Wall]:
     Args:
         points: ``(N, 3)`` of the room and its surroundings, map frame; some 10 cm apart is dense enough.
     """
-    heights = (points[:, 2] > shape.floor_z + 0.3) & (points[:, 2] < shape.ceiling_z - 0.1)
+    # Above the doors a wall is neither hidden by furniture nor outnumbered by shut leaves set back in it.
+    bottom = 2.15 if shape.ceiling_z - shape.floor_z > 2.4 else 0.3
+    heights = (points[:, 2] > shape.floor_z + bottom) & (points[:, 2] < shape.ceiling_z - 0.05)
     xy = points[heights, :2].astype(np.float64)
     return [_fitted(wall, xy) for wall in _joined(shape) if wall.length > 0.7]
 
@@ -207,7 +214,7 @@ def _fitted(wall: Wall, xy: NDArray[np.float64]) -> Wall:
     turned = [np.histogram(d[::thin] - slope * (u[::thin] - wall.length / 2), bins)[0] for slope in slopes]
     sharpest = int(np.argmax([histogram.max() for histogram in turned]))
     slope, histogram = float(slopes[sharpest]), turned[sharpest]
-    peaks = np.flatnonzero(histogram >= max(5, 0.35 * histogram.max()))
+    peaks = np.flatnonzero(histogram >= max(5, 0.5 * histogram.max()))
     middle = float(bins[peaks[-1]]) + 0.01
     for tolerance in (0.05, 0.03, 0.02):
         close = np.abs(d - middle - slope * (u - wall.length / 2)) < tolerance
@@ -216,7 +223,13 @@ def _fitted(wall: Wall, xy: NDArray[np.float64]) -> Wall:
         slope, middle = np.polyfit(u[close] - wall.length / 2, d[close], 1)
     along = wall.along + slope * wall.outward
     along /= np.linalg.norm(along)
-    return Wall(wall.at(wall.length / 2, float(middle)) - along * wall.length / 2, along, wall.length, wall.floor_z, wall.ceiling_z)
+    return Wall(
+        wall.at(wall.length / 2, float(middle)) - along * wall.length / 2,
+        along,
+        wall.length,
+        wall.floor_z,
+        wall.ceiling_z,
+    )
 
 
 def local_points(wall: Wall, points: NDArray[np.float32]) -> NDArray[np.float32]:

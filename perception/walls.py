@@ -108,7 +108,9 @@ def _squared(fitted: list[Line], sides: list[Line]) -> list[Line]:
     if not walls:
         return sides
     ruler = max(walls, key=lambda side: side.length)
-    return [_turned(before, ruler) if before.length < SHORT else after for before, after in zip(sides, fitted, strict=True)]
+    return [
+        _turned(before, ruler) if before.length < SHORT else after for before, after in zip(sides, fitted, strict=True)
+    ]
 
 
 def _turned(side: Line, ruler: Line) -> Line:
@@ -122,8 +124,17 @@ def _turned(side: Line, ruler: Line) -> Line:
 
 
 def _near_outline(xy: NDArray[np.floating], corners: Vector) -> NDArray[np.bool_]:
-    low, high = corners.min(axis=0) - OUTER, corners.max(axis=0) + OUTER
-    return np.all((xy >= low) & (xy <= high), axis=1)
+    """Positions in a band around the outline, by a coarse image: a room is full of points far from its walls."""
+    reach = INNER + OUTER
+    low = corners.min(axis=0) - reach
+    columns, rows = np.ceil((corners.max(axis=0) + reach - low) / _PATCH).astype(int)
+    band = np.zeros((rows, columns), np.uint8)
+    outline = ((corners - low) / _PATCH).astype(np.int32)
+    cv2.polylines(band, [outline], True, 1, thickness=2 * round(reach / _PATCH) + 1)
+    column, row = np.floor((xy - low) / _PATCH).astype(int).T
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    inside[inside] = band[row[inside], column[inside]] > 0
+    return inside
 
 
 def _subset(views: Views, index: NDArray[np.intp]) -> Views:
@@ -186,7 +197,9 @@ def wall_peak(
     peaks = local_maxima(_with_neighbours(counts), reach=2)
     area, height, met = (_with_neighbours(values)[peaks] for values in (counts, height, met))
     full_height = (area >= OUTER_SHARE * area.max()) & (height >= HEIGHT_SHARE * height.max())
-    significant = (full_height | (met >= CEILING_SHARE * length / _PATCH)) & (area > 0.03 * length / _PATCH * height.max())
+    significant = (full_height | (met >= CEILING_SHARE * length / _PATCH)) & (
+        area > 0.03 * length / _PATCH * height.max()
+    )
     if not significant.any():
         return None
     outer = int(peaks[significant][-1])
@@ -196,8 +209,10 @@ def wall_peak(
 
 def _distinct(bins: NDArray[np.intp], size: int, *keys: NDArray[np.intp]) -> NDArray[np.float64]:
     """How many distinct values of ``keys`` each bin holds."""
-    rows = np.unique(np.stack([bins, *keys], axis=1), axis=0)
-    return np.bincount(rows[:, 0], minlength=size).astype(float)
+    extents = [size, *(int(key.max(initial=0)) + 1 for key in keys)]
+    seen = np.zeros(extents, bool)
+    seen[(bins, *keys)] = True
+    return seen.reshape(size, -1).sum(axis=1).astype(float)
 
 
 def _with_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -247,7 +262,7 @@ def _replaced(sides: list[Line], i: int, joined: Line) -> list[Line]:
 
 def _same_line(a: Line, b: Line) -> bool:
     offset = max(abs(a.distance((b.start + b.end) / 2)), abs(b.distance((a.start + a.end) / 2)))
-    return a.wall == b.wall and abs(a.angle_to(b)) < np.deg2rad(10) and offset < 0.05
+    return a.wall == b.wall and abs(a.angle_to(b)) < np.deg2rad(10) and bool(offset < 0.05)
 
 
 def _joined(a: Line, b: Line) -> Line:
@@ -260,7 +275,7 @@ def _corner_between(before: Line, side: Line, after: Line) -> bool:
     if not (before.wall and after.wall):
         return False
     if abs(np.sin(before.angle_to(after))) < np.sin(np.deg2rad(15)):
-        return before.angle_to(after) < 0.5 and abs(before.distance(after.start)) < 0.05
+        return before.angle_to(after) < 0.5 and bool(abs(before.distance(after.start)) < 0.05)
     corner = before.meets(after)
     return float(np.linalg.norm(corner - (side.start + side.end) / 2)) < 0.6
 

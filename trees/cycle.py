@@ -2,7 +2,7 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import NoScanYet, RoomIsEnded, ScanIsSetAside
+from behaviours.conditions import MapFrameIsMade, NoScanYet, RoomIsEnded, ScanIsSetAside
 from behaviours.driving import DriveToTarget
 from behaviours.mapping import (
     AnchorScan,
@@ -72,8 +72,13 @@ def place() -> Behaviour:
     return first_that_works(
         "place the scan",
         steps("first scan", NoScanYet("no scan yet?"), AnchorScan("make the map frame")),
-        RegisterScan("register from odometry"),
-        RegisterGlobally("register by features"),
+        steps(
+            "later scan",
+            MapFrameIsMade("map frame made?"),
+            first_that_works(
+                "register", RegisterScan("register from odometry"), RegisterGlobally("register by features")
+            ),
+        ),
     )
 
 

@@ -5,7 +5,7 @@ from py_trees.behaviour import Behaviour
 from behaviours.conditions import RoomIsEnded, RoomIsOpen
 from behaviours.rooms import BeginRoom, FindDoors, GiveUpRoom
 from behaviours.settings import Settings
-from trees.compose import first_that_works, if_possible, steps, until_failure
+from trees.compose import first_that_works, steps, until_failure
 from trees.cycle import cycle
 
 
@@ -14,7 +14,7 @@ def room(settings: Settings) -> Behaviour:
         "room",
         BeginRoom("begin the room"),
         first_that_works("scan the room", cycles(settings), GiveUpRoom("give the room up")),
-        if_possible("look for doors", FindDoors("find open doors")),
+        first_that_works("look for doors", FindDoors("find open doors"), GiveUpRoom("its doors are not known")),
     )
 
 

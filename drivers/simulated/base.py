@@ -164,21 +164,28 @@ class SimulatedBase:
         if self._drive is None:
             self._plant.command(0.0, 0.0)
             return
-        self._plant.command(*self._drive.step(self._plant.time, hits))
-        self._outcomes[self._drive.goal.goal_id] = self._drive.outcome
-        if not isinstance(self._drive.outcome, Running):
+        if isinstance(self._drive.outcome, Running):
+            self._plant.command(*self._drive.step(self._plant.time, hits))
+        elif self._plant.moving:
+            self._plant.command(0.0, 0.0)
+        else:
             self._end()
+            return
+        # The end is told only at rest: the next thing will be a scan.
+        if isinstance(self._drive.outcome, Running):
+            self._outcomes[self._drive.goal.goal_id] = self._drive.outcome
 
     def _drop(self, code: str, why: str) -> None:
         if self._drive:
             self._drive.fail(code, why)
-            self._outcomes[self._drive.goal.goal_id] = self._drive.outcome
             self._end()
 
     def _end(self) -> None:
+        """Tell the outcome of the drive and forget it."""
         if self._drive:
             goal_id, pose, distance = self._drive.goal.goal_id, self._plant.pose, self._plant.distance
             self._truth.write("drive", self._plant.time, goal_id=goal_id, pose=pose, distance=distance)
+            self._outcomes[goal_id] = self._drive.outcome
         self._drive = None
         self._plant.command(0.0, 0.0)
 

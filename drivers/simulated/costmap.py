@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.simulated.footprint import covers_any
 from perception.grids import Cell, Grid
 
 _EXPLAINED = 0.12
@@ -47,10 +48,10 @@ class CostMap:
         """Drop all obstacles beyond the robot map."""
         self._seen[:] = False
 
-    def seen_at(self, cells: NDArray[np.integer]) -> bool:
-        """Whether any of the cells ``(N, 2)`` holds an obstacle beyond the robot map; cells outside hold none."""
-        cells = cells[self.grid.contains(cells)]
-        return bool(self._seen[cells[:, 0], cells[:, 1]].any())
+    def is_seen_under(self, pose: tuple[float, float, float], half: tuple[float, float]) -> bool:
+        """Whether an obstacle beyond the robot map lies under a rectangle (half length, half width) at a pose."""
+        x, y = pose[0] - self.grid.origin[0], pose[1] - self.grid.origin[1]
+        return bool(covers_any(self._seen, x, y, pose[2], *half, self.grid.resolution))
 
     def costs(self, standing_on: NDArray[np.integer]) -> Costs:
         """Costs for a search; the cells ``(N, 2)`` that the robot stands on are free, whatever the map says."""

@@ -165,8 +165,8 @@ class Drive:
         return _REST
 
     def _arrive(self) -> Command:
-        """Done, unless the goal was missed by so much that driving there once more is worth it."""
-        off = float(np.hypot(self.goal.x - self._localiser.pose[0], self.goal.y - self._localiser.pose[1]))
+        """Done, unless the end of the path was missed by so much that driving there once more is worth it."""
+        off, _ = _apart(self._localiser.pose, tuple(self._follower.path.poses[-1]))
         allowed = _ANYWHERE_TOLERANCE if self.goal.yaw is None else _DOORWAY_TOLERANCE
         if off > allowed and self._corrections < _CORRECTIONS:
             self._corrections += 1

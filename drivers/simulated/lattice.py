@@ -6,9 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.simulated.footprint import covers_any
+
 HEADINGS = 32
 TURN_LEFT, TURN_RIGHT, FORWARD, FORWARD_LEFT, FORWARD_RIGHT, BACKWARD = range(6)
-_TURN_COST, _BEND_COST, _BACKWARD_FACTOR = 0.2, 0.05, 2.0
+_TURN_COST, _BEND_COST, _BACKWARD_FACTOR, _TIGHT_FACTOR = 0.2, 0.05, 2.0, 5.0
 _MAX_OFFSET = 5
 
 
@@ -74,19 +76,10 @@ def footprint_free(
     space = clearance[row, column]
     if space < min(half_length, half_width):
         return False
-    radius = np.hypot(half_length, half_width)
-    if space > radius:
+    if space > np.hypot(half_length, half_width):
         return True
-    cos, sin = np.cos(angle), np.sin(angle)
-    reach = int(radius / resolution) + 1
-    for r in range(max(0, row - reach), min(rows, row + reach + 1)):
-        dy = (r - row) * resolution
-        for c in range(max(0, column - reach), min(columns, column + reach + 1)):
-            if obstacle[r, c]:
-                dx = (c - column) * resolution
-                if abs(cos * dx + sin * dy) <= half_length and abs(cos * dy - sin * dx) <= half_width:
-                    return False
-    return True
+    x, y = (column + 0.5) * resolution, (row + 0.5) * resolution
+    return not covers_any(obstacle, x, y, angle, half_length, half_width, resolution)
 
 
 @njit(cache=True)
@@ -114,7 +107,7 @@ def search(
         goal_heading: heading index to end with, or -1 for any.
         half: half length and half width to keep clear, metres.
         escape: radius round the start within which the narrower (half length, half width) that follow will do, for
-            the robot may stand closer to something than it would ever go.
+            the robot may stand closer to something than it would ever go; such moves are dear.
         cost, came: zeros, one per cell and heading; 0 stands for "not reached".
     """
     rows, columns = obstacle.shape
@@ -155,20 +148,22 @@ def search(
                     step += _BEND_COST
             else:
                 step = _TURN_COST
-            total = np.float32(cost[state] + step)
-            if cost[after] != 0.0 and total >= cost[after]:
+            if cost[after] != 0.0 and cost[state] + step >= cost[after]:
                 continue
-            free = True
+            free, tight = True, False
             for k in range(1, steps + 1):
                 rk = row + int(np.rint((r - row) * k / steps))
                 ck = column + int(np.rint((c - column) * k / steps))
-                near = np.hypot(rk - start[0], ck - start[1]) * resolution < escape[0]
-                hl, hw = (escape[1], escape[2]) if near else half
                 angle = angles[h] if 2 * k > steps else angles[heading]
-                if not footprint_free(rk, ck, angle, hl, hw, obstacle, clearance, resolution):
+                if footprint_free(rk, ck, angle, half[0], half[1], obstacle, clearance, resolution):
+                    continue
+                tight = True
+                near = np.hypot(rk - start[0], ck - start[1]) * resolution < escape[0]
+                if not near or not footprint_free(rk, ck, angle, escape[1], escape[2], obstacle, clearance, resolution):
                     free = False
                     break
-            if free:
+            total = np.float32(cost[state] + step * (_TIGHT_FACTOR if tight else 1.0))
+            if free and (cost[after] == 0.0 or total < cost[after]):
                 cost[after] = total
                 came[after] = move + 1
                 heapq.heappush(heap, (np.float32(total + to_go[r, c] * resolution), after))

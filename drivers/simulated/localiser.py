@@ -14,9 +14,10 @@ from perception.grids import Cell, Grid
 Pose = tuple[float, float, float]
 Array = NDArray[np.float64]
 
-_KERNEL = 0.075
-_ITERATIONS = 6
-_HIT_INFORMATION = 0.2
+_KERNEL, _FAR = 0.075, 2.0
+_ITERATIONS = 4
+_HITS_USED = 360
+_HIT_INFORMATION = 0.4
 _MIN_AGREEMENT = 0.2
 _MAX_CORRECTION = 0.15
 _STEP_BACK = 0.15
@@ -44,9 +45,8 @@ class Localiser:
     def _use_map(self, robot_map: Grid) -> None:
         obstacle = robot_map.data == Cell.OBSTACLE
         distance = cv2.distanceTransform((~obstacle).astype(np.uint8), cv2.DIST_L2, 5) * robot_map.resolution
-        self._field = np.exp(-0.5 * (distance / _KERNEL) ** 2).astype(np.float32)
-        if not obstacle.any():
-            self._field[:] = 0.0
+        # Far from anything it is 0 whatever the distance, and without any obstacle OpenCV has no finite one.
+        self._field = np.exp(-0.5 * (np.minimum(distance, _FAR) / _KERNEL) ** 2).astype(np.float32)
         weights = np.full(robot_map.shape, _UNKNOWN_WEIGHT, np.float32)
         weights[robot_map.data == Cell.FREE] = _KNOWN_FREE_WEIGHT
         weights[obstacle] = 0.0
@@ -71,7 +71,7 @@ class Localiser:
         x, y, yaw = self.pose
         cos, sin = np.cos(yaw), np.sin(yaw)
         moved_x, moved_y = cos * forward - sin * left, sin * forward + cos * left
-        self.pose = x + moved_x, y + moved_y, _wrap(yaw + turn)
+        self.pose = float(x + moved_x), float(y + moved_y), _wrap(yaw + turn)
         jacobian = np.array([[1.0, 0.0, -moved_y], [0.0, 1.0, moved_x], [0.0, 0.0, 1.0]])
         distance = float(np.hypot(forward, left))
         # Variances grow in proportion to the way, so that many small steps cost as much as one long one.
@@ -82,7 +82,13 @@ class Localiser:
         """Match points ``(N, 2)`` in base_link to the map; False if the match was not believed."""
         prior = np.linalg.inv(self._covariance)
         pose, information, self.agreement = _match(
-            hits, np.array(self.pose), prior, self._field, self._weights, self._origin, self._resolution
+            hits[:: max(1, len(hits) // _HITS_USED)],
+            np.array(self.pose),
+            prior,
+            self._field,
+            self._weights,
+            self._origin,
+            self._resolution,
         )
         moved = np.hypot(pose[0] - self.pose[0], pose[1] - self.pose[1])
         if self.agreement < _MIN_AGREEMENT or not moved < _MAX_CORRECTION:

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import shapely
 import trimesh
-from numba import njit
 from numpy.typing import NDArray
 from shapely import affinity
 
 from drivers.simulated.bodies import Body
+from drivers.simulated.footprint import covers_any
 from drivers.simulated.world import World
 
 _LOW, _HIGH = 0.03, 1.45
@@ -21,6 +21,8 @@ _SUBPIXEL_BITS = 4
 class Obstruction:
     """Tells whether the footprint at a pose touches anything.
 
+    ``raster`` is ``(rows, columns)`` with 1 where something stands, its lower-left corner at ``origin``, 1 cm a cell.
+
     Everything between 3 cm (lower things are driven over) and 1.45 m above the floor is drawn into a raster of 1 cm,
     so contact is reported up to 1 cm early, never late.
     """
@@ -29,13 +31,13 @@ class Obstruction:
         self._half = footprint[0] / 2, footprint[1] / 2
         self._outline = shapely.box(-self._half[0], -self._half[1], self._half[0], self._half[1])
         corners = _slice(world)[:, :, :2]
-        self._origin = corners.reshape(-1, 2).min(0) - 2 * _CELL if len(corners) else np.zeros(2)
-        self._raster = _draw(corners, self._origin)
+        self.origin = corners.reshape(-1, 2).min(0) - 2 * _CELL if len(corners) else np.zeros(2)
+        self.raster = _draw(corners, self.origin)
 
     def touches(self, x: float, y: float, yaw: float, bodies: Iterable[Body] = ()) -> bool:
         """Whether the footprint at a true pose overlaps the building or a body."""
-        ox, oy = self._origin
-        if _touches(self._raster, x - ox, y - oy, yaw, *self._half, _CELL):
+        ox, oy = self.origin
+        if covers_any(self.raster, x - ox, y - oy, yaw, *self._half, _CELL):
             return True
         here = None
         for body in bodies:
@@ -66,22 +68,3 @@ def _draw(corners: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[
     for triangle in pixels:
         cv2.fillConvexPoly(raster, triangle, 1, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
     return raster
-
-
-@njit(cache=True)
-def _touches(
-    raster: NDArray[np.uint8], x: float, y: float, yaw: float, half_length: float, half_width: float, cell: float
-) -> bool:
-    """Whether a set cell's centre lies in the rectangle at (x, y) metres from the raster's corner."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    reach_x = half_length * abs(cos) + half_width * abs(sin)
-    reach_y = half_length * abs(sin) + half_width * abs(cos)
-    rows, columns = raster.shape
-    for row in range(max(0, int((y - reach_y) / cell)), min(rows, int((y + reach_y) / cell) + 1)):
-        dy = (row + 0.5) * cell - y
-        for column in range(max(0, int((x - reach_x) / cell)), min(columns, int((x + reach_x) / cell) + 1)):
-            if raster[row, column]:
-                dx = (column + 0.5) * cell - x
-                if abs(cos * dx + sin * dy) <= half_length and abs(cos * dy - sin * dx) <= half_width:
-                    return True
-    return False

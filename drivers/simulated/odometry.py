@@ -32,10 +32,10 @@ class Odometry:
         rotation_seen = rotation * self._rotation_factor
         length = abs(distance)
         if length > 0.0:
-            rotation_seen += self._profile.heading_walk * np.sqrt(length) * self._rng.standard_normal()
+            rotation_seen += self._profile.heading_walk * float(np.sqrt(length) * self._rng.standard_normal())
             if self._rng.random() < self._profile.slips_per_metre * length:
-                distance_seen += np.sign(distance) * self._rng.uniform(0.0, self._profile.slip_distance)
-                rotation_seen += self._rng.uniform(-1.0, 1.0) * self._profile.slip_heading
+                distance_seen += float(np.sign(distance) * self._rng.uniform(0.0, self._profile.slip_distance))
+                rotation_seen += float(self._rng.uniform(-1.0, 1.0)) * self._profile.slip_heading
         middle = self._yaw + rotation_seen / 2
         self._x += distance_seen * float(np.cos(middle))
         self._y += distance_seen * float(np.sin(middle))

@@ -79,7 +79,7 @@ class Planner:
 
     def is_blocked(self, cost_map: CostMap, poses: NDArray[np.float64]) -> bool:
         """Whether the footprint at one of the poses ``(N, 3)`` holds an obstacle that the robot map did not have."""
-        return any(cost_map.seen_at(self._cells_under(cost_map.grid, (x, y, yaw))) for x, y, yaw in poses)
+        return any(cost_map.is_seen_under((x, y, yaw), self._half) for x, y, yaw in poses)
 
     def _search(
         self,

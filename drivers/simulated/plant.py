@@ -14,6 +14,7 @@ from perception import transforms
 from perception.transforms import Matrix
 
 _AT_REST = 0.005
+_BRAKE_BELOW = 0.03
 _SPIN_LENGTH = 0.5
 
 
@@ -48,6 +49,9 @@ class WheelLoop:
         """Speed in m/s after ``dt`` seconds of chasing ``target``."""
         slew = self._acceleration * dt
         self._set_point += min(max(target - self._set_point, -slew), slew)
+        if target == self._set_point == 0.0 and abs(self.speed) < _BRAKE_BELOW:
+            self.halt()  # the holding brake; the controller alone would creep for seconds
+            return 0.0
         error = self._set_point - self.speed
         self._integral += error * dt
         effort = self._KP * error + self._KI * self._integral + self._KD * (error - self._last_error) / dt
@@ -121,7 +125,7 @@ class Plant:
 
     @property
     def moving(self) -> bool:
-        return max(abs(self._left.speed), abs(self._right.speed)) > _AT_REST
+        return bool(max(abs(self._left.speed), abs(self._right.speed)) > _AT_REST)
 
     def bodies(self) -> tuple[Body, ...]:
         return standing(self._tracks, self.time)
@@ -155,10 +159,11 @@ class Plant:
             return False
         middle = self._yaw + rotation / 2
         x, y = self._x + distance * float(np.cos(middle)), self._y + distance * float(np.sin(middle))
-        if self._obstruction.touches(x, y, self._yaw + rotation, self.bodies()):
+        yaw = self._yaw + rotation
+        if self._obstruction.touches(x, y, yaw, self.bodies()):
             return self._run_into()
         self._in_contact = False
-        self._x, self._y, self._yaw = x, y, self._yaw + rotation
+        self._x, self._y, self._yaw = x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw)))
         self.distance += abs(distance)
         self.odometry.moved(distance, rotation)
         return False

@@ -44,7 +44,7 @@ class ScannerProfile:
     glass_specular_deg: float = 2.0
     duration: float = 45.0
     mount: tuple[float, float, float] = (0.0, 0.0, 1.3)
-    body: tuple[float, float, float] = (0.9, 0.6, 0.95)
+    body: tuple[float, float, float] = (0.9, 0.6, 0.9)
 
     @property
     def base_from_scanner(self) -> Matrix:
@@ -76,7 +76,7 @@ class LidarProfile:
     height: float = 0.2
     range_max: float = 15.0
     noise_sigma: float = 0.01
-    interval: float = 0.08
+    interval: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class BaseProfile:
     turn_rate: float = 0.6
     acceleration: float = 0.5
     turn_acceleration: float = 1.2
-    time_step: float = 0.04
+    time_step: float = 0.05
     tilt_max: float = float(np.deg2rad(1.5))
     lidar: LidarProfile = LidarProfile()
     odometry: OdometryProfile = OdometryProfile()

@@ -8,6 +8,8 @@ from drivers.simulated.profile import BaseProfile
 
 _MARGIN = 0.02
 _REACTION = 0.2
+# One or two may be noise; so near, even the leg of a chair is met by several beams.
+_HITS_THAT_COUNT = 3
 _SCALES = (1.0, 0.6, 0.3, 0.12)
 
 
@@ -41,8 +43,9 @@ class SafetyMonitor:
 def _meets(
     hits: NDArray[np.float64], v: float, w: float, duration: float, half_length: float, half_width: float, margin: float
 ) -> bool:
-    """Whether a hit comes into the footprint and its margin, or deeper into it, within so many seconds."""
+    """Whether hits come into the footprint and its margin, or deeper into it, within so many seconds."""
     length, width = half_length + margin, half_width + margin
+    threats = 0
     for i in range(len(hits)):
         x0, y0 = hits[i]
         now = min(length - abs(x0), width - abs(y0))
@@ -58,5 +61,8 @@ def _meets(
             depth = min(length - abs(x), width - abs(y))
             # What is already within the margin must only not come nearer, or the robot could never leave.
             if depth > 0.0 and depth > now + 0.002:
-                return True
+                threats += 1
+                break
+        if threats == _HITS_THAT_COUNT:
+            return True
     return False

@@ -32,7 +32,7 @@ class Echo:
 
 
 class SimulatedScanner:
-    """Takes scans of a world (issue of record: range noise, lost returns, glass, mirrors, tilt).
+    """Takes scans of a world: range noise, lost returns, glass, mirrors, tilt.
 
     Args:
         world: mesh with one class per triangle.

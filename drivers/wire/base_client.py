@@ -21,6 +21,7 @@ from drivers.wire.endpoints import Endpoints
 from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
 from perception.failure import FailureError
+from perception.transforms import Matrix
 
 POLL_S = 0.05
 
@@ -79,30 +80,23 @@ class BaseClient:
         return BackgroundJob(self._stop, "base stop")
 
     def _follow(self, link: Link, goal: Goal, progress: Progress) -> DriveReport:
+        place: Matrix | None = None
         try:
             status: Body = link.ask(Drive(goal), (Pending, DriveDone), once=True)
         except FailureError as error:
             if error.failure.code == "AGENT_RESTARTED":
-                raise self._lost(goal) from error
+                raise _lost(goal, place) from error
             raise
         while isinstance(status, Pending):
+            state = self.state()
+            if state is not None and state.map_from_base is not None:
+                place = state.map_from_base
             progress.report(status.fraction, status.note)
             progress.wait(POLL_S)
             status = link.ask(DriveStatus(goal.goal_id), (Pending, DriveDone, Unknown))
         if isinstance(status, DriveDone):
             return status.value()
-        raise self._lost(goal)
-
-    def _lost(self, goal: Goal) -> FailureError:
-        state = self.state()
-        place = None if state is None else state.map_from_base
-        return FailureError(
-            "NAV_STUCK",
-            f"the base restarted on its way to goal {goal.goal_id}; how far it came is not known",
-            goal_id=goal.goal_id,
-            track=[],
-            map_from_base=None if place is None else place.tolist(),
-        )
+        raise _lost(goal, place)
 
     def _stop(self, progress: Progress, goal_id: str | None = None) -> None:
         with self._link(progress) as link:
@@ -110,3 +104,13 @@ class BaseClient:
 
     def _link(self, progress: Progress) -> Link:
         return Link(self._sockets, self._endpoint, self._patience, progress)
+
+
+def _lost(goal: Goal, place: Matrix | None) -> FailureError:
+    return FailureError(
+        "NAV_STUCK",
+        f"the base restarted on its way to goal {goal.goal_id}; how far it came is not known",
+        goal_id=goal.goal_id,
+        track=[],
+        map_from_base=None if place is None else place.tolist(),
+    )

@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import zmq
 
@@ -70,7 +71,8 @@ class Listener:
 
     def __init__(self, socket: zmq.Socket) -> None:
         self._socket = socket
-        self._newest: tuple[Telemetry, float] | None = None
+        self._boot, self._sequence = "", -1
+        self._newest: tuple[BaseState, float] | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
@@ -80,16 +82,8 @@ class Listener:
         newest = self._newest
         if newest is None:
             return None
-        message, received = newest
-        return BaseState(
-            message.odom_from_base.matrix(),
-            None if message.map_from_base is None else message.map_from_base.matrix(),
-            message.moving,
-            message.emergency_stop,
-            message.battery,
-            message.activity,
-            time.monotonic() - received,
-        )
+        state, received = newest
+        return replace(state, age=time.monotonic() - received)
 
     def close(self) -> None:
         """Stop listening and close the socket. Harmless when closed."""
@@ -108,6 +102,19 @@ class Listener:
         except UndecodableError as error:
             log.warning("telemetry that is none: %s", error)
             return
-        known = self._newest and self._newest[0]
-        if known is None or known.boot != message.boot or known.sequence < message.sequence:
-            self._newest = message, time.monotonic()
+        if message.boot != self._boot or message.sequence > self._sequence:
+            self._boot, self._sequence = message.boot, message.sequence
+            # Computed here rather than when asked: whoever asks is the tick, which has no time for it.
+            self._newest = _state(message), time.monotonic()
+
+
+def _state(message: Telemetry) -> BaseState:
+    return BaseState(
+        message.odom_from_base.matrix(),
+        None if message.map_from_base is None else message.map_from_base.matrix(),
+        message.moving,
+        message.emergency_stop,
+        message.battery,
+        message.activity,
+        age=0.0,
+    )

@@ -1,6 +1,7 @@
 """The survey as E57 (ASTM E2807): every set-up apart, in its own frame, with its pose; nothing is merged."""
 
 import os
+import uuid
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -56,7 +57,7 @@ def gps_seconds(moment: Any) -> float:
     return (aware - _GPS_EPOCH).total_seconds() + _GPS_AHEAD_OF_UTC
 
 
-class _Image(pye57.E57):  # type: ignore[misc]
+class _Image(pye57.E57):
     """An E57 file for writing whose header carries a date: pye57 leaves it at the epoch, and fields are set once."""
 
     def __init__(self, path: Path, created: Any) -> None:
@@ -85,17 +86,12 @@ class _Image(pye57.E57):  # type: ignore[misc]
 
 
 def _guid() -> str:
-    import uuid
-
     return f"{{{uuid.uuid4()}}}"
 
 
 def _scanner_of(run: Run) -> dict[str, str]:
     """Model and serial number as the scanner gave them; what is not known stays empty."""
-    started = run.events_of("mission_started")
-    said = run.state.get("scanner") or (started[0].get("scanner") if started else None) or {}
-    if not isinstance(said, dict):
-        said = {"model": said}
+    said = next((event for event in run.events_of("agent") if event.get("name") == "scanner"), {})
     return {"sensorModel": str(said.get("model") or ""), "sensorSerialNumber": str(said.get("serial") or "")}
 
 

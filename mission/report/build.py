@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ def collect(run: Run) -> Report:
         "registrations": tables.registrations(run),
         "registration_limits": tables.LIMITS,
         "doors": tables.doors(run),
+        "openings": tables.openings(run),
         "times": tables.times(run),
         "failures": tables.failures(run),
         "recoveries": tables.recoveries(run),
@@ -59,7 +61,7 @@ def render(report: Report, drawn: list[pictures.Picture]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
+    filters: dict[str, Callable[..., str]] = {
         "number": number,
         "share": share,
         "millimetres": lambda value: number(value, 1, scale=1e3),
@@ -67,6 +69,7 @@ def render(report: Report, drawn: list[pictures.Picture]) -> str:
         "duration": duration,
         "embed": embed,
     }
+    environment.filters.update(filters)
     by_kind: dict[str, list[pictures.Picture]] = {}
     for picture in drawn:
         by_kind.setdefault(picture.kind, []).append(picture)

@@ -59,6 +59,13 @@ def grid_extent(grid: Grid) -> tuple[float, float, float, float]:
     return x, y, x + columns * grid.resolution, y + rows * grid.resolution
 
 
+def with_margins(extent: tuple[float, float, float, float], share: float = 0.09) -> tuple[float, float, float, float]:
+    """The extent with room above for a key and below for the scale bar."""
+    x0, y0, x1, y1 = extent
+    more = share * max(y1 - y0, 0.6 * (x1 - x0))
+    return x0, y0 - more, x1, y1 + more
+
+
 def crop(grid: Grid, wanted: NDArray[np.bool_], margin: float = 0.5) -> Grid:
     """The part of a grid around the wanted cells; the whole grid where none is."""
     rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
@@ -88,9 +95,10 @@ def legend(axes: Any, entries: list[tuple[str, str]]) -> None:
     from matplotlib.patches import Patch
 
     handles = [Patch(facecolor=colour, edgecolor=MUTED, linewidth=0.4, label=words) for colour, words in entries]
-    axes.legend(
-        handles=handles, loc="upper left", frameon=True, framealpha=0.9, edgecolor="none", fontsize=8, ncols=len(handles)
-    ).set_zorder(20)
+    key = axes.legend(
+        handles=handles, loc="upper left", framealpha=0.9, edgecolor="none", fontsize=8, ncols=len(entries)
+    )
+    key.set_zorder(20)
 
 
 def _scale_bar(axes: Any, extent: tuple[float, float, float, float]) -> None:

@@ -9,8 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mission.report.canvas import ACCENT, BAD, GOOD, INK, MUTED, PAPER, SCANS, TINTS
-from mission.report.canvas import canvas, crop, draw_grid, extent_of, grid_extent, legend, rgb
+from mission.report.canvas import (
+    ACCENT,
+    BAD,
+    GOOD,
+    INK,
+    MUTED,
+    PAPER,
+    SCANS,
+    TINTS,
+    canvas,
+    crop,
+    draw_grid,
+    extent_of,
+    grid_extent,
+    legend,
+    rgb,
+)
 from mission.report.run import Record, Run, grid_of
 from perception import transforms
 from perception.grids import Cell, Grid, Label
@@ -52,10 +67,11 @@ def _plan(run: Run) -> list[Picture]:
     path = _target(run, "plan")
     with canvas(path, extent_of(np.concatenate([*contours, stations]))) as axes:
         for number, room in enumerate(run.rooms):
-            _draw_room(axes, room, TINTS[number % len(TINTS)])
+            _draw_room(axes, room, TINTS[number % len(TINTS)], stations)
         for door in run.doors:
             _draw_door(axes, door)
         _draw_route(axes, run, stations)
+        legend(axes, [(GOOD, "door passed"), (BAD, "door not passed"), (ACCENT, "station and way")])
     return [Picture(path, "Rooms, doors and stations in the order in which they were taken", "plan")]
 
 
@@ -64,23 +80,42 @@ def _stations(run: Run) -> NDArray[np.float64]:
     return np.array([np.asarray(scan["map_from_scanner"], float)[:2, 3] for scan in run.scans]).reshape(-1, 2)
 
 
-def _draw_room(axes: Any, room: Record, tint: str) -> None:
+def _surveyed(run: Run, room_id: str | None = None) -> tuple[float, float, float, float] | None:
+    """Bounds of one room or of all, with a margin: what beams met far outside through windows is not of interest."""
+    contours = [
+        np.asarray(room["contour"], float)
+        for room in run.rooms
+        if room.get("contour") and room_id in (None, room["id"])
+    ]
+    return extent_of(np.concatenate(contours), 1.0) if contours else None
+
+
+def _draw_room(axes: Any, room: Record, tint: str, stations: NDArray[np.float64]) -> None:
     contour = np.asarray(room.get("contour") or np.zeros((0, 2)), float)
     if len(contour) < 3:
         return
     complete = room.get("status") == "complete"
-    axes.fill(*contour.T, facecolor=tint, edgecolor=INK, linewidth=1.6, hatch=None if complete else "////", zorder=2)
+    axes.fill(*contour.T, facecolor=tint, edgecolor=INK, linewidth=1.6, zorder=2)
+    if not complete:
+        axes.fill(*contour.T, facecolor="none", edgecolor=MUTED, linewidth=0, hatch="//", alpha=0.6, zorder=2)
     name = room.get("name") or room["id"]
-    x, y = _inner_point(contour)
+    x, y = _name_place(contour, stations)
     axes.text(x, y, name, ha="center", va="center", fontsize=11, color=INK, zorder=6, alpha=0.75, weight="bold")
 
 
-def _inner_point(contour: NDArray[np.float64]) -> tuple[float, float]:
-    from shapely import Polygon
+def _name_place(contour: NDArray[np.float64], taken: NDArray[np.float64]) -> tuple[float, float]:
+    """Where a room's name stands: inside, away from the walls and from the stations."""
+    import shapely
 
-    polygon = Polygon(contour).buffer(0)
-    point = polygon.centroid if polygon.contains(polygon.centroid) else polygon.representative_point()
-    return float(point.x), float(point.y)
+    polygon = shapely.Polygon(contour).buffer(0)
+    low, high = contour.min(axis=0), contour.max(axis=0)
+    x, y = (axis.ravel() for axis in np.meshgrid(*np.linspace(low, high, 25).T))
+    free = shapely.distance(polygon.boundary, shapely.points(x, y))
+    free[~shapely.contains_xy(polygon, x, y)] = -1.0
+    for station in taken:
+        free = np.minimum(free, np.hypot(x - station[0], y - station[1]))
+    best = int(np.argmax(free))
+    return float(x[best]), float(y[best])
 
 
 def _draw_door(axes: Any, door: Record) -> None:
@@ -94,30 +129,30 @@ def _draw_door(axes: Any, door: Record) -> None:
 
 
 def _draw_route(axes: Any, run: Run, stations: NDArray[np.float64]) -> None:
-    goals = [e for e in run.events_of("drive") if e.get("x") is not None and e.get("y") is not None]
-    if len(stations) > 1:
-        axes.plot(*stations.T, color=ACCENT, linewidth=1.0, alpha=0.55, linestyle=(0, (4, 3)), zorder=5)
-    for event in goals:
-        if not _succeeded(event):
+    """The way that was driven, stations by number, and goals that were not reached."""
+    track = np.asarray(run.state.get("track") or stations, float).reshape(len(run.state.get("track") or stations), -1)
+    if len(track) > 1:
+        axes.plot(*track[:, :2].T, color=ACCENT, linewidth=1.0, alpha=0.55, zorder=5)
+    for event in run.events_of("drive"):
+        if event.get("x") is not None and event.get("result") != "arrived":
             axes.plot(event["x"], event["y"], marker="x", color=BAD, markersize=6, zorder=7)
     for number, (x, y) in enumerate(stations, 1):
         axes.plot(x, y, "o", markersize=13, color=ACCENT, markeredgecolor=PAPER, markeredgewidth=1.2, zorder=8)
-        axes.text(x, y - 0.012, str(number), ha="center", va="center", fontsize=7.5, color=PAPER, weight="bold", zorder=9)
-
-
-def _succeeded(drive: Record) -> bool:
-    return str(drive.get("result") or "").lower() in ("", "ok", "done", "success", "succeeded", "reached", "arrived")
+        axes.annotate(
+            str(number), (x, y), (0, -0.5), textcoords="offset points", ha="center", va="center",
+            fontsize=7.5, color=PAPER, weight="bold", zorder=9,
+        )  # fmt: skip
 
 
 def _robot_map(run: Run) -> list[Picture]:
-    grids = [grid_of(arrays) for path, arrays in run.arrays("maps/*.npz") if not path.stem.endswith("_evidence")]
-    grid = grids[-1] if grids else None
+    pattern = f"{run.state['map_id']}.npz" if run.state.get("map_id") else "robot_map_*[0-9].npz"
+    found = run.arrays(f"maps/{pattern}")
+    grid = grid_of(found[-1][1]) if found else None
     if grid is None:
         return []
-    known = crop(grid, grid.data != Cell.UNKNOWN)
     path = _target(run, "robot_map")
-    with canvas(path, grid_extent(known)) as axes:
-        draw_grid(axes, known, rgb(PAPER, INK, "#cbd2d9"))
+    with canvas(path, with_margins(_surveyed(run) or grid_extent(grid))) as axes:
+        draw_grid(axes, grid, rgb(PAPER, INK, "#cbd2d9"))
         _draw_route(axes, run, _stations(run))
         legend(axes, [(PAPER, "free"), (INK, "obstacle"), ("#cbd2d9", "unknown")])
     return [Picture(path, "The robot map M(t) at the end", "robot_map")]
@@ -131,14 +166,11 @@ def _cloud(run: Run) -> list[Picture]:
     everything = np.concatenate([np.zeros((0, 2), np.float32), *layers])
     if not len(everything):
         return []
-    low, high = np.percentile(everything, [0.2, 99.8], axis=0)
-    contours = [np.asarray(room["contour"], float) for room in run.rooms if room.get("contour")]
-    if contours:
-        corners = np.concatenate(contours)
-        low, high = corners.min(axis=0) - 1.0, corners.max(axis=0) + 1.0
+    bounds = _surveyed(run) or tuple(np.percentile(everything, [0.2, 99.8], axis=0).ravel())
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
     image = _blend(layers, low, high)
     path = _target(run, "cloud_top")
-    with canvas(path, (low[0], low[1], high[0], high[1])) as axes:
+    with canvas(path, with_margins((low[0], low[1], high[0], high[1]), 0.04)) as axes:
         axes.imshow(image, origin="lower", extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased")
         for number, (x, y) in enumerate(_stations(run)):
             axes.plot(x, y, "o", markersize=7, color=SCANS[number % len(SCANS)], markeredgecolor=INK, zorder=5)
@@ -195,24 +227,27 @@ def _views(run: Run) -> list[Picture]:
 
 
 def _draw_view(path: Path, grid: Grid, arrays: dict[str, NDArray]) -> None:
-    candidates = np.asarray(arrays.get("candidates", np.zeros((0, 4))), float).reshape(-1, 4)
-    with canvas(path, grid_extent(grid), width=6.0) as axes:
+    candidates = arrays.get("candidates", np.zeros((0, 3)))
+    with canvas(path, with_margins(grid_extent(grid)), width=6.0) as axes:
         draw_grid(axes, grid, rgb("#eef1f4", PAPER, "#f3c98b", "#3e4c59"))
-        if len(candidates):
-            dots = axes.scatter(
-                candidates[:, 0], candidates[:, 1], c=candidates[:, 2], s=9, cmap="viridis", linewidths=0, zorder=4
-            )
-            bar = axes.figure.colorbar(dots, cax=axes.inset_axes((0.03, 0.03, 0.25, 0.025)), orientation="horizontal")
-            bar.ax.tick_params(labelsize=6, color=MUTED, labelcolor=PAPER)
-            bar.outline.set_visible(False)
-            bar.ax.set_title("voxels gained", fontsize=6.5, color=PAPER, pad=2)
-            bar.ax.set_facecolor(INK)
-            best = candidates[int(np.argmax(candidates[:, 2]))]
-            axes.plot(*best[:2], marker="*", markersize=17, color=BAD, markeredgecolor=PAPER, zorder=6)
+        if candidates.size:
+            dots = axes.scatter(*candidates[:, :2].T, c=candidates[:, 2], s=7, cmap="viridis", linewidths=0, zorder=4)
+            _gain_bar(axes, dots, int(candidates[:, 2].max()))
+        if arrays.get("best", np.zeros(0)).size:
+            x, y = arrays["best"][0, :2]
+            axes.plot(x, y, marker="*", markersize=17, color=BAD, markeredgecolor=PAPER, zorder=6)
         if "station" in arrays:
-            axes.plot(*np.asarray(arrays["station"], float)[:2], "o", color=ACCENT, markersize=9,
-                      markeredgecolor=PAPER, zorder=6)  # fmt: skip
+            x, y = arrays["station"][:2]
+            axes.plot(x, y, "o", color=ACCENT, markersize=9, markeredgecolor=PAPER, zorder=6)
         legend(axes, [(PAPER, "empty"), ("#f3c98b", "occluded"), ("#3e4c59", "occupied")])
+
+
+def _gain_bar(axes: Any, dots: Any, most: int) -> None:
+    """A key of the gains at the lower left, below the map."""
+    bar = axes.figure.colorbar(dots, cax=axes.inset_axes((0.02, 0.015, 0.3, 0.02), zorder=20), orientation="horizontal")
+    bar.set_ticks([])
+    bar.outline.set_visible(False)
+    bar.ax.set_title(f"voxels gained, up to {most:,}", fontsize=7, color=INK, pad=3)
 
 
 def _ceilings(run: Run) -> list[Picture]:
@@ -234,19 +269,34 @@ def _ceilings(run: Run) -> list[Picture]:
 
 
 def _flatness(run: Run) -> list[Picture]:
+    by_room: dict[str, list[Grid]] = {}
+    for source, arrays in run.arrays("evidence/*_flatness.npz"):
+        if (grid := grid_of(arrays)) is not None:
+            by_room.setdefault(_place_of(source)[0], []).append(grid)
     pictures = []
-    for source, arrays in _latest_by_room(run.arrays("evidence/*_flatness.npz")):
-        grid = grid_of(arrays)
-        if grid is None:
-            continue
-        room, cycle = _place_of(source)
+    for room, grids in by_room.items():
+        fused = _fused(grids)
+        extent = _surveyed(run, room) or grid_extent(fused)
         path = _target(run, f"{room}_flatness")
-        known = crop(grid, grid.data != Cell.UNKNOWN)
-        with canvas(path, grid_extent(known), width=6.0) as axes:
-            draw_grid(axes, known, rgb("#e3f1e8", BAD, "#eef1f4"))
-            legend(axes, [("#e3f1e8", "flat"), (BAD, "not flat"), ("#eef1f4", "unknown")])
-        pictures.append(Picture(path, f"{run.room_names.get(room, room)}: flatness map F(t)", "flatness", room, cycle))
+        with canvas(path, with_margins(extent), width=6.0) as axes:
+            draw_grid(axes, fused, rgb("#dcefe3", BAD, "#eef1f4"))
+            legend(axes, [("#dcefe3", "flat"), (BAD, "not flat"), ("#eef1f4", "unknown")])
+        pictures.append(Picture(path, f"{run.room_names.get(room, room)}: flatness map F(t)", "flatness", room))
     return pictures
+
+
+def _fused(grids: list[Grid]) -> Grid:
+    """All maps of one resolution as one: an irregular cell of any scan stays, a flat one fills the unknown."""
+    cell = grids[0].resolution
+    low = np.min([grid.origin for grid in grids], axis=0)
+    high = np.max([grid_extent(grid)[2:] for grid in grids], axis=0)
+    columns, rows = (int(n) for n in np.ceil((high - low) / cell - 1e-6))
+    fused = Grid(np.full((rows, columns), Cell.UNKNOWN, np.uint8), (float(low[0]), float(low[1])), cell)
+    for state in (Cell.FREE, Cell.OBSTACLE):
+        for grid in grids:
+            cells = fused.cells_of(grid.centres_of(np.argwhere(grid.data == state)))
+            fused.data[tuple(np.minimum(cells, np.array(fused.shape) - 1).T)] = state
+    return fused
 
 
 def _latest_by_room(found: list[tuple[Path, dict[str, NDArray]]]) -> list[tuple[Path, dict[str, NDArray]]]:

@@ -8,26 +8,44 @@ from mission.report.run import Record, Run
 Row = dict[str, Any]
 
 LIMITS: dict[str, tuple[float, float]] = {
-    "fitness": (0.6, 0.4),
-    "rmse": (0.015, 0.03),
-    "overlap": (0.4, 0.25),
-    "min_eigenvalue": (0.03, 0.01),
+    "agreement": (0.85, 0.75),
+    "rmse": (0.010, 0.012),
+    "overlap": (0.30, 0.15),
+    "min_eigenvalue": (0.04, 0.02),
 }
-"""For each registration figure the value that passes and the one that still gets a warning; beyond it, it fails."""
+"""For each registration figure the value that passes, and the one beyond which it fails: a scan is refused there."""
 
 _SMALLER_IS_BETTER = {"rmse"}
 
-_DOOR_WORDS = {
-    "unexplored": "not entered",
-    "passed": "passed",
-    "entered": "passed",
-    "explored": "passed",
-    "too_narrow": "narrower than the robot",
-    "narrow": "narrower than the robot",
-    "blocked": "could not be reached",
-    "failed": "could not be passed",
-    "closed": "shut",
+_WORDS = {
+    "lambda_mu": "λ and μ fell below their thresholds: the last scan added next to nothing",
+    "predicted_gain": "no view promised enough that is new",
+    "no_candidate": "no place is left from which more could be seen",
+    "max_scans": "the most scans that a room may have were taken",
+    "views_blocked": "the ways to all remaining views were blocked",
 }
+"""The codes that end a room, for the surveyor."""
+
+_DOOR_WORDS = {
+    "unexplored": "not entered before the mission ended",
+    "passed": "passed",
+    "linked": "leads to a room that was entered by another door",
+    "deferred": "left for later, and not tried again",
+    "refused": "could not be passed",
+}
+
+_RECOVERIES = {
+    "move nearby": "the scan was taken again from a spot nearby",
+    "register by features": "a scan was registered by features instead of from odometry",
+    "bridge": "a scan between was taken to find the place of another",
+    "register the scan set aside": "a scan that had been set aside found its place",
+    "next best instead": "a view that could not be reached gave way to the next best",
+    "another door": "a door that could not be passed was left for later",
+}
+"""Names of the tree's recovery branches."""
+
+_TAKING = "take the scan"
+
 
 def outcome(run: Run) -> Row:
     """How the mission ended, and the totals."""
@@ -107,7 +125,7 @@ def rooms(run: Run) -> list[Row]:
             "status": room.get("status") or "unknown",
             "scans": list(room.get("scans") or ()),
             "reason_ended": room.get("reason_ended"),
-            "reason": words(room.get("reason_ended")) or "the mission ended first",
+            "reason": _why_ended(run, room),
             "height_m": _height(room),
             "area_m2": polygon_area(room.get("contour") or ()),
         }
@@ -115,10 +133,24 @@ def rooms(run: Run) -> list[Row]:
     ]
 
 
+def _why_ended(run: Run, room: Record) -> str:
+    """The reason in words; for the code of a failure, the last words that were said with it in this room."""
+    code = room.get("reason_ended")
+    if not code:
+        return "the mission ended first"
+    said = ""
+    for event in run.events_of("failure", "room_ended"):
+        if event["kind"] == "failure" and event.get("code") == code:
+            said = str(event.get("message") or "")
+        elif event.get("room_id") == room["id"]:
+            break
+    return f"{words(code)}: {said}" if said else words(code)
+
+
 def words(code: Any) -> str:
-    """A code such as ``NO_CANDIDATE`` or ``stop_criteria`` as plain words; sentences stay as they are."""
+    """A code in plain words; one of a failure, and a sentence, stay as they are."""
     text = str(code or "")
-    return text if " " in text else text.replace("_", " ").lower()
+    return _WORDS.get(text) or (text if " " in text or text.isupper() else text.replace("_", " "))
 
 
 def _height(room: Record) -> float | None:
@@ -127,17 +159,24 @@ def _height(room: Record) -> float | None:
 
 
 def registrations(run: Run) -> list[Row]:
-    """Each scan's registration with a verdict a figure and the worst of them for the scan."""
-    rows = []
-    for scan in run.scans:
-        figures = scan.get("registration") or {}
-        row: Row = {"scan": scan["scan_id"], "room": scan.get("room_id"), "method": figures.get("method", "")}
-        row |= {key: figures.get(key) for key in ("correction_m", "correction_rad", *LIMITS)}
-        anchor = row["method"] == "anchor"
-        row["verdicts"] = {} if anchor else {k: verdict(k, row[k]) for k in LIMITS if row[k] is not None}
-        row["verdict"] = "reference" if anchor else _worst(row["verdicts"].values())
-        rows.append(row)
-    return rows
+    """Each scan's registration with a verdict a figure, and the worst of them for the scan.
+
+    ``agreement`` is the part of the overlap that fits within the last correspondence distance.
+    """
+    return [_registration(scan) for scan in run.scans]
+
+
+def _registration(scan: Record) -> Row:
+    figures = scan.get("registration") or {}
+    keys = ("method", "fitness", "rmse", "overlap", "min_eigenvalue", "correction_m", "correction_rad")
+    row: Row = {"scan": scan["scan_id"], "room": scan.get("room_id")} | {key: figures.get(key) for key in keys}
+    fitness, overlap = row["fitness"], row["overlap"]
+    row["agreement"] = fitness / overlap if fitness is not None and overlap else None
+    if row["method"] == "anchor":
+        return row | {"verdicts": {}, "verdict": "reference"}
+    verdicts = {key: verdict(key, row[key]) for key in LIMITS if row[key] is not None}
+    worst = next((word for word in ("fail", "warn", "pass") if word in verdicts.values()), "")
+    return row | {"verdicts": verdicts, "verdict": worst}
 
 
 def verdict(figure: str, value: float) -> str:
@@ -149,23 +188,13 @@ def verdict(figure: str, value: float) -> str:
     return "warn" if sign * value >= sign * fair else "fail"
 
 
-def _worst(verdicts: Any) -> str:
-    present = set(verdicts)
-    return next((word for word in ("fail", "warn", "pass") if word in present), "")
-
-
 def doors(run: Run) -> list[Row]:
     """Doors found, what they join, and what became of them."""
     names = run.room_names
     return [
         {
             "id": door.get("id"),
-            "x": door.get("x"),
-            "y": door.get("y"),
-            "width": door.get("width"),
-            "net_width": door.get("net_width"),
-            "height": door.get("height"),
-            "confidence": door.get("confidence"),
+            **_measures(door),
             "state": door.get("state") or "",
             "reason": door_reason(door),
             "rooms": [names.get(room, room) if room else None for room in door.get("rooms") or ()],
@@ -176,10 +205,24 @@ def doors(run: Run) -> list[Row]:
 
 def door_reason(door: Record) -> str:
     """What became of a door, in words; its own reason where it has one."""
-    state = str(door.get("state") or "")
     said = words(door.get("reason"))
-    known = _DOOR_WORDS.get(state, words(state))
+    known = _DOOR_WORDS.get(str(door.get("state")), words(door.get("state")))
     return f"{known}: {said}" if said and known else said or known
+
+
+def openings(run: Run) -> list[Row]:
+    """Openings that were looked at and turned down, as the last look from each room judged them."""
+    latest = {event.get("room_id"): event for event in run.events_of("doors")}
+    names = run.room_names
+    return [
+        {"room": names.get(str(room), room), "gate": words(opening.get("gate")), **_measures(opening)}
+        for room, event in latest.items()
+        for opening in event.get("refused") or ()
+    ]
+
+
+def _measures(door: Record) -> Row:
+    return {key: door.get(key) for key in ("x", "y", "width", "net_width", "height", "confidence")}
 
 
 def left_out(run: Run) -> list[Row]:
@@ -205,7 +248,7 @@ def times(run: Run) -> Row:
         for name, s in stages.items()
     ]
     return {
-        "scanning": _sum_seconds(run.events_of("scan")),
+        "scanning": _running_seconds(run, _TAKING),
         "driving": _sum_seconds(run.events_of("drive")),
         "thinking": sum(row["seconds"] for row in rows),
         "stages": sorted(rows, key=lambda row: -row["seconds"]),
@@ -218,6 +261,21 @@ def _sum_seconds(events: list[Record]) -> float:
     return sum(float(event.get("seconds") or 0.0) for event in events)
 
 
+def _running_seconds(run: Run, node: str) -> float:
+    """Mission seconds for which a node of the tree was running."""
+    total, since = 0.0, None
+    for event in run.events_of("node"):
+        if event.get("node") == node:
+            now, running = float(event.get("t") or 0.0), _status(event) == "RUNNING"
+            total += now - since if since is not None else 0.0
+            since = now if running else None
+    return total
+
+
+def _status(event: Record) -> str:
+    return str(event.get("after") or "").upper()
+
+
 def failures(run: Run) -> list[Row]:
     """Every failure in its order."""
     return [
@@ -227,12 +285,8 @@ def failures(run: Run) -> list[Row]:
 
 
 def recoveries(run: Run) -> list[Row]:
-    """Recovery branches of the tree that ran: how often, and how often they helped."""
-    tried: Counter[str] = Counter()
-    helped: Counter[str] = Counter()
-    for event in run.events_of("node"):
-        name, ended = str(event.get("node") or ""), str(event.get("to") or "").rsplit(".", 1)[-1].upper()
-        if "recover" in f"{event.get('path') or ''}/{name}".lower() and ended in ("SUCCESS", "FAILURE"):
-            tried[name] += 1
-            helped[name] += ended == "SUCCESS"
-    return [{"branch": words(name), "tried": n, "helped": helped[name]} for name, n in tried.most_common()]
+    """Recovery branches of the tree that ran: how often, and how often they did what they are for."""
+    ended = [(str(e.get("node")), _status(e)) for e in run.events_of("node") if str(e.get("node")) in _RECOVERIES]
+    tried = Counter(name for name, status in ended if status in ("SUCCESS", "FAILURE"))
+    helped = Counter(name for name, status in ended if status == "SUCCESS")
+    return [{"branch": _RECOVERIES[name], "tried": n, "helped": helped[name]} for name, n in tried.most_common()]

@@ -88,7 +88,7 @@ def test_a_lying_header_allocates_nothing(tmp_path):
     path.write_bytes(struct.pack("<8sIIQI", scan_file.MAGIC, 1, 200, 1 << 50, 0) + bytes(200))
     tracemalloc.start()
     try:
-        with pytest.raises(FailureError, match="SCAN_CORRUPT.*size"):
+        with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*size"):
             scan_file.read(path)
         assert tracemalloc.get_traced_memory()[1] < 1 << 20
     finally:
@@ -96,14 +96,14 @@ def test_a_lying_header_allocates_nothing(tmp_path):
 
 
 def test_a_missing_file_is_a_typed_failure(tmp_path):
-    with pytest.raises(FailureError, match="SCAN_CORRUPT.*cannot be read"):
+    with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*cannot be read"):
         scan_file.read(tmp_path / "nowhere.scan")
 
 
 def test_beams_outside_the_pattern_are_refused():
     scan = make_scan(points=50)
     stray = dataclasses.replace(scan, beam=scan.beam + scan.pattern.size)
-    with pytest.raises(FailureError, match="SCAN_CORRUPT.*beams"):
+    with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*beams"):
         scan_file.decode(scan_file.encode(stray))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import zmq
 
+from drivers.agent import Agent
 from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseInfo, DriveGoal, DriveReport, ScannerInfo, ScanSettings
 from drivers.jobs import Done, Failed, Job, Outcome, Running
@@ -20,7 +21,9 @@ from perception.transforms import Matrix
 
 ANY_PORT = "tcp://127.0.0.1:*"
 ANYWHERE = Endpoints(ANY_PORT, bulk=ANY_PORT, telemetry=ANY_PORT)
-QUICK = Patience(first=0.1, longest=0.3, total=2.0)
+QUICK = Patience(first=0.1, longest=0.3, total=20.0)
+"""Asks again soon, but does not give up because the machine is busy with other tests."""
+IMPATIENT = Patience(first=0.1, longest=0.3, total=1.0)
 SETTINGS = ScanSettings(step=0.02)
 
 
@@ -47,7 +50,7 @@ def make_goal(goal_id: str = "G01") -> DriveGoal:
     )
 
 
-def outcome_of(job: Job, seconds: float = 8.0) -> Done | Failed:
+def outcome_of(job: Job, seconds: float = 20.0) -> Done | Failed:
     """Wait for the end of a job."""
     end = time.monotonic() + seconds
     while isinstance(outcome := job.poll(), Running):
@@ -56,23 +59,34 @@ def outcome_of(job: Job, seconds: float = 8.0) -> Done | Failed:
     return outcome
 
 
-def value_of(job: Job, seconds: float = 8.0):
+def value_of(job: Job, seconds: float = 20.0):
     outcome = outcome_of(job, seconds)
     assert isinstance(outcome, Done), outcome
     return outcome.value
 
 
-def failure_of(job: Job, seconds: float = 8.0) -> Failure:
+def failure_of(job: Job, seconds: float = 20.0) -> Failure:
     outcome = outcome_of(job, seconds)
     assert isinstance(outcome, Failed), outcome
     return outcome.failure
 
 
-def eventually(condition: Callable[[], object], seconds: float = 5.0) -> None:
+def eventually(condition: Callable[[], object], seconds: float = 20.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it never came true"
         time.sleep(0.005)
+
+
+def restarted(serve: Callable[[], Agent], seconds: float = 20.0) -> Agent:
+    """An agent at the address of one that was just closed; ZeroMQ lets go of a port a little later."""
+    end = time.monotonic() + seconds
+    while True:
+        try:
+            return serve()
+        except FailureError as error:
+            assert error.failure.code == "ENDPOINT_UNAVAILABLE" and time.monotonic() < end
+            time.sleep(0.01)
 
 
 class FakeScanner:
@@ -110,11 +124,13 @@ class FakeScanner:
 
 
 class FakeBase:
-    """Drives for ``duration`` seconds; ``thinking`` seconds pass in ``start_drive``."""
+    """Drives for ``duration`` seconds; thinks in ``start_drive`` for as long as ``may_start`` is not set."""
 
-    def __init__(self, duration: float = 0.1, thinking: float = 0.0) -> None:
+    def __init__(self, duration: float = 0.1) -> None:
         self.duration = duration
-        self.thinking = thinking
+        self.may_start = threading.Event()
+        self.may_start.set()
+        self.asked: list[str] = []
         self.refuses: FailureError | None = None
         self.driven: list[DriveGoal] = []
         self.stops = 0
@@ -133,7 +149,8 @@ class FakeBase:
     def start_drive(self, goal: DriveGoal) -> None:
         if self.refuses:
             raise self.refuses
-        time.sleep(self.thinking)
+        self.asked.append(goal.goal_id)
+        self.may_start.wait()
         self.driven.append(goal)
         self.current = goal.goal_id
         self._since[goal.goal_id] = time.monotonic()

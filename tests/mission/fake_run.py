@@ -1,7 +1,7 @@
 """A small building of two rooms and a run folder as a mission would have left it, for tests without a mission."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from perception.scan import BeamPattern
 from tests.synthetic import Scene
 
 HEIGHT = 3.0
-SCANNER = 1.3
+MOUNT = transforms.from_euler(0, 0, 0, (0, 0, 1.3))
 PATTERN = BeamPattern.with_step(np.deg2rad(1.0), (np.deg2rad(-40), np.deg2rad(60)), (0.5, 120.0))
 WEST, EAST = (0.0, 0.0, 6.0, 4.0), (6.2, 0.0, 10.2, 4.0)
 DOOR = (1.5, 2.5)
@@ -33,22 +33,24 @@ def quad(*corners: tuple[float, float, float]) -> np.ndarray:
 
 
 def upright(x0: float, y0: float, x1: float, y1: float, low: float = 0.0, high: float = HEIGHT) -> np.ndarray:
-    return quad((x0, y0, low), (x1, y1, low), (x1, y1, high), (x0, y0, high))
+    """A wall that looks to the left of its way from the first to the second point."""
+    return quad((x1, y1, low), (x0, y0, low), (x0, y0, high), (x1, y1, high))
 
 
 def room_triangles(rectangle: tuple, door_x: float) -> list[tuple[np.ndarray, Surface]]:
     x0, y0, x1, y1 = rectangle
-    far_x = x0 if door_x == x1 else x1
     corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+    far_x, (below, above) = (x0, DOOR) if door_x == x1 else (x1, DOOR[::-1])
+    start, end = (y0, y1) if door_x == x1 else (y1, y0)
     return [
         (quad(*((x, y, 0.0) for x, y in corners)), Surface.FLOOR),
         (quad(*((x, y, HEIGHT) for x, y in reversed(corners))), Surface.CEILING),
         (upright(x0, y0, x1, y0), Surface.WALL),
         (upright(x1, y1, x0, y1), Surface.WALL),
-        (upright(far_x, y0, far_x, y1), Surface.WALL),
-        (upright(door_x, y0, door_x, DOOR[0]), Surface.WALL),
-        (upright(door_x, DOOR[1], door_x, y1), Surface.WALL),
-        (upright(door_x, DOOR[0], door_x, DOOR[1], 2.1, HEIGHT), Surface.WALL),
+        (upright(far_x, end, far_x, start), Surface.WALL),
+        (upright(door_x, start, door_x, below), Surface.WALL),
+        (upright(door_x, above, door_x, end), Surface.WALL),
+        (upright(door_x, below, door_x, above, 2.1, HEIGHT), Surface.WALL),
     ]
 
 
@@ -99,12 +101,12 @@ def write_run(parent: Path, pose_errors: dict[str, np.ndarray] | None = None) ->
     folder = RunFolder.at(parent / "2026-01-02T03-04-05_two-rooms")
     scene = Scene(_mesh(world))
     true_poses = {
-        name: transforms.planar(x, y, yaw) @ transforms.from_euler(0.01, -0.005, 0, (0, 0, SCANNER))
+        name: transforms.planar(x, y, yaw) @ transforms.from_euler(0.01, -0.005, 0) @ MOUNT
         for name, (x, y, yaw) in STATIONS.items()
     }
     points = {}
     for name, pose in true_poses.items():
-        scan = scene.take(pose, PATTERN, scan_id=name)
+        scan = replace(scene.take(pose, PATTERN, scan_id=name), base_from_scanner=MOUNT)
         scan_file.write(folder.scan_file(name), scan)
         points[name] = len(scan.points)
     errors = pose_errors or {}
@@ -166,12 +168,12 @@ def _state(poses: dict[str, np.ndarray]) -> dict:
     return {
         "rooms": [
             {
-                "id": "R01", "name": "R01", "status": "complete", "reason_ended": "NO_CANDIDATE", "scans": ["S01"],
+                "id": "R01", "status": "complete", "reason_ended": "no_candidate", "scans": ["S01"],
                 "contour": _contour(WEST), "floor_z": 0.0, "ceiling_z": HEIGHT,
                 "cycles": [_cycle("S01", 5200, 61000, 5800, (1.0, 0.0, 0.02))],
             },
             {
-                "id": "R02", "name": "R02", "status": "incomplete", "reason_ended": "REG_DEGENERATE after two tries",
+                "id": "R02", "status": "partial", "reason_ended": "REG_DEGENERATE",
                 "scans": ["S02", "S03"], "contour": _contour(EAST), "floor_z": 0.0, "ceiling_z": HEIGHT,
                 "cycles": [
                     _cycle("S02", 3100, 36000, 8900, (1.0, 0.0, 0.15)),
@@ -189,27 +191,40 @@ def _state(poses: dict[str, np.ndarray]) -> dict:
             for n, (name, pose) in enumerate(poses.items(), 5)
         ],
         "outcome": "incomplete", "started": "2026-01-02T03:04:05Z", "ended": "2026-01-02T03:09:05Z",
-        "wall_s": 61.0, "simulated_s": 300.0, "scanner": {"model": "vz-400", "serial": "S1234"},
+        "wall_s": 61.0, "simulated_s": 300.0,
     }  # fmt: skip
 
 
 def _write_events(path: Path, points: dict[str, int]) -> None:
-    events: list[dict] = [{"kind": "mission_started", "site": "two-rooms"}]
-    for number, (name, count) in enumerate(points.items(), 1):
-        events += [
-            {"kind": "scan", "scan_id": name, "room_id": "R01", "cycle": 1, "points": count, "seconds": 45.0},
-            {"kind": "stage", "name": "register", "scan_id": name, "seconds": 0.8},
-            {"kind": "stage", "name": "next_best_view", "scan_id": name, "seconds": 1.5 * number},
-            {"kind": "drive", "goal_id": f"G{number}", "x": 0.0, "y": 0.5, "result": "ok", "distance": 3.1, "seconds": 9},
-        ]
+    door = {"x": 1.0, "y": 2.0, "width": 0.5, "net_width": 0.5, "height": 1.2, "confidence": 0.9, "gate": "too_low"}
     failure = {"code": "REG_DEGENERATE", "message": "the smallest eigenvalue is 0.004", "evidence": {"value": 0.004}}
+    events: list[tuple[float, dict]] = [
+        (0.0, {"kind": "agent", "name": "scanner", "model": "vz-400", "serial": "S1234", "protocol": 1}),
+        (0.0, {"kind": "mission_started", "site": "two-rooms"}),
+    ]
+    for number, (name, count) in enumerate(points.items()):
+        t = 80.0 * number
+        goal = {"goal_id": f"G{number}", "x": 0.0, "y": 0.5, "distance": 3.1, "seconds": 9}
+        events += [
+            (t, _node("take the scan", "INVALID", "RUNNING")),
+            (t + 45, _node("take the scan", "RUNNING", "SUCCESS")),
+            (t + 46, {"kind": "scan", "scan_id": name, "points": count}),
+            (t + 47, {"kind": "stage", "name": "register", "scan_id": name, "seconds": 0.8}),
+            (t + 49, {"kind": "stage", "name": "next_best_view", "scan_id": name, "seconds": 1.5 * (number + 1)}),
+            (t + 60, {"kind": "drive", "result": "arrived" if number else "NAV_BLOCKED", **goal}),
+        ]
     events += [
-        {"kind": "failure", **failure},
-        {"kind": "node", "node": "recover_registration", "path": "building/room/cycle", "from": "RUNNING", "to": "SUCCESS"},
-        {"kind": "mission_ended", "outcome": "incomplete"},
-    ]  # fmt: skip
-    lines = [json.dumps({"t": 10.0 * n, "utc": "2026-01-02T03:04:05Z", **event}) for n, event in enumerate(events)]
+        (290.0, {"kind": "failure", **failure}),
+        (291.0, _node("bridge", "RUNNING", "SUCCESS")),
+        (292.0, {"kind": "doors", "room_id": "R01", "found": [], "refused": [door]}),
+        (300.0, {"kind": "mission_ended", "outcome": "incomplete"}),
+    ]
+    lines = [json.dumps({"t": t, "utc": "2026-01-02T03:04:05Z", **event}) for t, event in events]
     path.write_text("\n".join(lines) + '\n{"t": 999, "kind": "no')
+
+
+def _node(name: str, before: str, after: str) -> dict:
+    return {"kind": "node", "node": name, "path": f"/mission/{name}", "before": before, "after": after, "feedback": ""}
 
 
 def _write_arrays(folder: RunFolder) -> None:
@@ -220,9 +235,9 @@ def _write_arrays(folder: RunFolder) -> None:
     cells[5:45, 5:100] = Cell.FREE
     cells[20:25, 40:55] = Cell.OBSTACLE
     grid = Grid(cells, origin, size)
-    save_grid(folder.map_file("M01"), grid)
-    save_grid(folder.map_file("M10"), grid.with_data(np.where(cells == Cell.OBSTACLE, Cell.FREE, cells)))
-    write_arrays(folder.map_evidence_file("M10"), cells=cells)
+    save_grid(folder.map_file("robot_map_S02"), grid)
+    save_grid(folder.map_file("robot_map_S10"), grid.with_data(np.where(cells == Cell.OBSTACLE, Cell.FREE, cells)))
+    write_arrays(folder.map_evidence_file("robot_map_S10"), cells=cells)
     labels = np.where(cells == Cell.UNKNOWN, Label.OUTSIDE, Label.EMPTY)
     labels[15:30, 60:80] = Label.OCCLUDED
     labels[cells == Cell.OBSTACLE] = Label.OCCUPIED
@@ -232,7 +247,7 @@ def _write_arrays(folder: RunFolder) -> None:
     write_arrays(
         folder.evidence_file("R01", 1, "view"),
         data=labels, origin=origin, resolution=size, station=(0.0, 0.0),
-        candidates=np.column_stack([xy, gains, np.hypot(*xy.T)]),
+        candidates=np.column_stack([xy, gains]), best=[(1.5, 0.0, 2990, 1.5), (1.2, 0.0, 2800, 1.2)],
     )  # fmt: skip
     write_arrays(
         folder.evidence_file("R01", 1, "ceiling"),

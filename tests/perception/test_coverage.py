@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import transforms
-from perception.coverage import Patches, ViewLimits, count_points, coverable, sample_surfaces, sensed
+from perception.coverage import PatchCounter, ViewLimits, coverable, sensed
 from perception.failure import FailureError
+from perception.patches import Patches, sample_surfaces
 from perception.scan import BeamPattern
 from tests.synthetic import Scene, box
 
@@ -23,6 +24,13 @@ def rectangle(origin: tuple, along: tuple, up: tuple) -> np.ndarray:
 
 def floor(width: float = 8.0, depth: float = 6.0, z: float = 0.0) -> np.ndarray:
     return rectangle((0, 0, z), (width, 0, 0), (0, depth, 0))
+
+
+def count_points(patches: Patches, cloud: np.ndarray) -> np.ndarray:
+    counter = PatchCounter(patches)
+    for point in cloud:
+        counter.add(point[None])
+    return counter.counts
 
 
 def box_triangles(lower: tuple, upper: tuple) -> np.ndarray:

@@ -67,12 +67,15 @@ def _start(plan: Plan, shell: Shell) -> tuple[float, float, float]:
     return x, y, 0.0
 
 
-def _furnish(
-    plan: Plan, shell: Shell, start: tuple[float, float, float], rng: np.random.Generator
-) -> list[Piece]:
+def _furnish(plan: Plan, shell: Shell, start: tuple[float, float, float], rng: np.random.Generator) -> list[Piece]:
+    for item in plan.furniture:
+        if not any(outline.covers(shapely.Point(item.at)) for outline in shell.rooms.values()):
+            raise FailureError("WORLD_PLAN_INVALID", f"the {item.kind} at {item.at} is in no room", at=item.at)
     pieces: list[Piece] = []
     for name, outline in shell.rooms.items():
-        placed = [_placed(item, shell.heights[name]) for item in plan.furniture if outline.covers(shapely.Point(item.at))]
+        placed = [
+            _placed(item, shell.heights[name]) for item in plan.furniture if outline.covers(shapely.Point(item.at))
+        ]
         here = start[:2] if outline.covers(shapely.Point(start[:2])) else None
         leaves = [leaf.footprint for room, leaf in shell.leaves if room == name]
         furnisher = RoomFurnisher(outline, shell.heights[name], _gaps(shell, name), leaves, placed, here)

@@ -1,6 +1,7 @@
 """Collects the triangles of a world: quads, boxes, flat polygons and walls with holes."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -33,7 +34,7 @@ class MeshBuilder:
 
     def add_quad(self, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, surface: Surface) -> None:
         """A planar quadrilateral; it faces the side from which its corners run counter-clockwise."""
-        self.add([[a, b, c], [a, c, d]], surface)
+        self.add(np.array([a, b, c, a, c, d], float), surface)
 
     def add_box(
         self, lower: Sequence[float], upper: Sequence[float], surface: Surface, pose: tuple[float, float, float]
@@ -95,8 +96,8 @@ def _panels(length: float, z: tuple[float, float], holes: Sequence[Rectangle]) -
     u_cuts = np.unique([0.0, length, *(u for hole in holes for u in (hole[0], hole[2]))]).clip(0.0, length)
     z_cuts = np.unique([*z, *(v for hole in holes for v in (hole[1], hole[3]))]).clip(*z)
     panels = []
-    for u0, u1 in zip(u_cuts[:-1], u_cuts[1:], strict=True):
-        for z0, z1 in zip(z_cuts[:-1], z_cuts[1:], strict=True):
+    for u0, u1 in pairwise(u_cuts):
+        for z0, z1 in pairwise(z_cuts):
             u, v = (u0 + u1) / 2, (z0 + z1) / 2
             if not any(hole[0] < u < hole[2] and hole[1] < v < hole[3] for hole in holes):
                 panels.append((u0, z0, u1, z1))

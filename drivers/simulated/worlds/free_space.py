@@ -83,7 +83,7 @@ def _mark(
         count = polygon.shape[0]
         for k in range(count):
             a, b = polygon[k], polygon[(k + 1) % count]
-            steps = int(np.ceil(max(abs(b[0] - a[0]), abs(b[1] - a[1])) / (0.5 * cell))) + 1
+            steps = int(np.ceil(max(abs(b[0] - a[0]), abs(b[1] - a[1])) / (0.25 * cell))) + 1
             for step in range(steps + 1):
                 f = step / steps
                 row = int((a[1] + f * (b[1] - a[1]) - origin[1]) / cell)

@@ -51,7 +51,9 @@ class Gap:
         normal = np.array(self.inwards)
         side = np.array([-normal[1], normal[0]]) * (self.width / 2 + extra)
         centre = np.array([self.x, self.y])
-        return shapely.Polygon([centre - side, centre + side, centre + side + normal * depth, centre - side + normal * depth])
+        return shapely.Polygon(
+            [centre - side, centre + side, centre + side + normal * depth, centre - side + normal * depth]
+        )
 
 
 class RoomFurnisher:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -40,7 +41,7 @@ class Piece:
     size: Size
     detail: int = 0
 
-    @property
+    @cached_property
     def footprint(self) -> shapely.Polygon:
         """Its outline from above, with any leaf that stands open in front of it."""
         length, depth, _ = self.size

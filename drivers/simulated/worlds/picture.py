@@ -43,8 +43,8 @@ def draw_world(world: World, path: Path, margin: float = 3.0) -> None:
         axes.annotate(f"{door.width:.2f}/{door.net_width:.2f}", (door.x, door.y), fontsize=7)
     x, y, yaw = world.start
     axes.arrow(x, y, np.cos(yaw), np.sin(yaw), width=0.08, color="#16a34a")
-    corners = [room.polygon for room in world.truth.rooms] or [world.vertices[:, :2]]
-    points = np.concatenate(corners)
+    outlines = [room.polygon for room in world.truth.rooms]
+    points = np.concatenate(outlines) if outlines else world.vertices[:, :2]
     axes.set_xlim(points[:, 0].min() - margin, points[:, 0].max() + margin)
     axes.set_ylim(points[:, 1].min() - margin, points[:, 1].max() + margin)
     axes.set_aspect("equal")

@@ -1,6 +1,7 @@
 """From a plan to the structure of a building: floors, ceilings, walls with openings, leaves, glass and mirrors."""
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -68,7 +69,7 @@ class Shell:
         self.rooms = {name: _outline(room.outline) for name, room in plan.rooms.items()}
         self.heights = {name: room.height or plan.height for name, room in plan.rooms.items()}
         self._refuse_overlaps()
-        self.hull = _hull(list(self.rooms.values()), plan.outer_wall)
+        self.hull = hull_of(list(self.rooms.values()), plan.outer_wall)
         self.faces = [face for name in self.rooms for face in self._room_faces(name)]
         self._outer_faces = _faces(None, shapely.orient_polygons(self.hull, exterior_cw=True), (0.0, plan.height + 0.3))
         self.leaves: list[tuple[str, Leaf]] = []
@@ -201,12 +202,12 @@ class Shell:
         _add_panel(mesh, face, (u, u + plan.width), z, MIRROR_OFFSET, Surface.MIRROR)
 
 
-def add_leaf(mesh: MeshBuilder, leaf: Leaf, height: float) -> None:
+def add_leaf(mesh: MeshBuilder, leaf: Leaf, height: float, floor: float = 0.0) -> None:
     """The panel of a door, from a finger above the floor to just below the lintel."""
     outline = shapely.orient_polygons(leaf.footprint)
-    z = (FLOOR_GAP, height - FLOOR_GAP)
+    z = (floor + FLOOR_GAP, floor + height - FLOOR_GAP)
     corners = np.array(outline.exterior.coords)
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in pairwise(corners):
         mesh.add_wall(b, a, z, (), Surface.DOOR_LEAF)
     mesh.add_polygon(outline, z[0], False, Surface.DOOR_LEAF)
     mesh.add_polygon(outline, z[1], True, Surface.DOOR_LEAF)
@@ -236,7 +237,7 @@ def _outline(corners: tuple[Point, ...]) -> shapely.Polygon:
     return polygon
 
 
-def _hull(rooms: list[shapely.Polygon], wall: float) -> shapely.Polygon:
+def hull_of(rooms: list[shapely.Polygon], wall: float) -> shapely.Polygon:
     """The outside of the building: the rooms, the walls around them, and any void in between."""
     grown = shapely.union_all([room.buffer(wall, join_style="mitre") for room in rooms])
     parts = grown.geoms if isinstance(grown, shapely.MultiPolygon) else [grown]
@@ -247,4 +248,4 @@ def _hull(rooms: list[shapely.Polygon], wall: float) -> shapely.Polygon:
 
 def _faces(room: str | None, polygon: shapely.Polygon, z: tuple[float, float]) -> list[Face]:
     corners = np.array(polygon.exterior.coords)
-    return [Face(room, a, b, z) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    return [Face(room, a, b, z) for a, b in pairwise(corners)]

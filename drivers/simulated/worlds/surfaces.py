@@ -1,5 +1,7 @@
 """The structural surface of a room that faces into it: what Table 2 measures."""
 
+from itertools import pairwise
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -7,15 +9,17 @@ from numpy.typing import NDArray
 from drivers.simulated.world import STRUCTURAL, RoomTruth, Surface, World
 
 ON_PLANE = 0.03
-NEAR_PLANE = 0.12
+NEAR_PLANE = 0.08
 PIECE = 0.25
+LEVEL = 0.9
+LOWEST_CEILING = 1.5
 
 
 def structural_surfaces(world: World, room_id: str) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Floor, ceiling and wall of a room, net of openings; reveals, sills and thresholds do not count.
 
     Exact for planned buildings, whose faces end where a room ends. Elsewhere the triangles are cut into pieces of
-    0.25 m and those near the room's floor, ceiling or outline are taken.
+    0.25 m and those on the room's floor, at its ceiling and upright within its outline (8 cm wider) are taken.
 
     Returns:
         Corner positions ``(K, 3, 3)`` in metres and the class ``(K,)`` of :class:`Surface` of each triangle.
@@ -27,13 +31,31 @@ def structural_surfaces(world: World, room_id: str) -> tuple[NDArray[np.float32]
     chosen = np.isin(world.surface, STRUCTURAL)
     corners, surface = world.vertices[world.triangles[chosen]], world.surface[chosen]
     corners, surface = _nearby(corners, surface, room)
-    exact = _facing(corners, surface, room, ON_PLANE)
     outline = shapely.Polygon(room.polygon)
-    if abs(_area(corners[exact & (surface == Surface.FLOOR)]) - outline.area) < 1e-2:
-        return corners[exact], surface[exact]
-    corners, surface = _cut(corners, surface)
-    near = _facing(corners, surface, room, NEAR_PLANE)
-    return corners[near], surface[near]
+    shapely.prepare(outline)
+    floor = _on_floor(corners, surface, room, outline)
+    exact = abs(_area(corners[floor]) - outline.area) < 1e-2
+    if not exact:
+        corners, surface = _cut(corners, surface)
+        floor = _on_floor(corners, surface, room, outline)
+    centre, normal = corners.mean(axis=1), _unit_normals(corners)
+    above = (centre[:, 2] > room.floor_z) & (centre[:, 2] < room.ceiling_z + ON_PLANE)
+    level = np.abs(normal[:, 2]) > LEVEL
+    inside = shapely.contains_xy(outline, centre[:, 0], centre[:, 1])
+    between = (centre[:, 2] > room.floor_z + LOWEST_CEILING) & (centre[:, 2] < room.ceiling_z + NEAR_PLANE)
+    ceiling = (surface == Surface.CEILING) & level & inside & between
+    # The upper side of a beam or of a hung ceiling is nobody's; a mesh may have all its normals the wrong way.
+    downwards = ceiling & (normal[:, 2] < 0)
+    if _area(corners[downwards]) > 0.5 * _area(corners[ceiling]):
+        ceiling = downwards
+    wall = (surface == Surface.WALL) & above & (np.abs(normal[:, 2]) < 1 - LEVEL)
+    wall[wall] = (
+        _along_outline(centre[wall], normal[wall], outline)
+        if exact
+        else shapely.contains_xy(outline.buffer(NEAR_PLANE), centre[wall, 0], centre[wall, 1])
+    )
+    chosen = floor | ceiling | wall
+    return corners[chosen], surface[chosen]
 
 
 def areas(corners: NDArray[np.float32], surface: NDArray[np.uint8]) -> dict[Surface, float]:
@@ -50,36 +72,34 @@ def _nearby(
     return corners[inside], surface[inside]
 
 
-def _facing(
-    corners: NDArray[np.float32], surface: NDArray[np.uint8], room: RoomTruth, tolerance: float
+def _on_floor(
+    corners: NDArray[np.float32], surface: NDArray[np.uint8], room: RoomTruth, outline: shapely.Polygon
 ) -> NDArray[np.bool_]:
-    """Which triangles lie on the floor, the ceiling or a wall of the room."""
+    """Which triangles are floor of the room."""
     centre = corners.mean(axis=1)
+    at_floor = (surface == Surface.FLOOR) & (np.abs(centre[:, 2] - room.floor_z) < ON_PLANE)
+    at_floor &= np.abs(_unit_normals(corners)[:, 2]) > LEVEL
+    return at_floor & shapely.contains_xy(outline, centre[:, 0], centre[:, 1])
+
+
+def _unit_normals(corners: NDArray[np.float32]) -> NDArray[np.float32]:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    outline = shapely.Polygon(room.polygon)
-    inside = shapely.contains_xy(outline, centre[:, 0], centre[:, 1])
-    level = np.abs(normal[:, 2]) > 0.9
-    floor = (surface == Surface.FLOOR) & inside & level & (np.abs(centre[:, 2] - room.floor_z) < tolerance)
-    # A ceiling may have several heights; only its underside is seen.
-    ceiling = (surface == Surface.CEILING) & inside & (centre[:, 2] > room.floor_z + 1.5) & (normal[:, 2] < -0.5)
-    between = (centre[:, 2] > room.floor_z - tolerance) & (centre[:, 2] < room.ceiling_z + tolerance)
-    wall = (surface == Surface.WALL) & between & _along_outline(centre, normal, outline, tolerance)
-    return floor | ceiling | wall
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
 def _along_outline(
-    centre: NDArray[np.float32], normal: NDArray[np.float32], outline: shapely.Polygon, tolerance: float
+    centre: NDArray[np.float32], normal: NDArray[np.float32], outline: shapely.Polygon
 ) -> NDArray[np.bool_]:
-    """Which faces lie along an edge of the outline and look to its inside."""
+    """Which faces lie on an edge of the outline and look to its inside."""
     ring = np.array(shapely.orient_polygons(outline).exterior.coords)
     along = np.zeros(len(centre), bool)
-    for a, b in zip(ring[:-1], ring[1:], strict=True):
-        run = (b - a) / np.linalg.norm(b - a)
+    for a, b in pairwise(ring):
+        length = np.linalg.norm(b - a)
+        run = (b - a) / length
         inwards = np.array([-run[1], run[0]])
         u, d = (centre[:, :2] - a) @ run, (centre[:, :2] - a) @ inwards
-        beside = (u > -1e-3) & (u < np.linalg.norm(b - a) + 1e-3) & (np.abs(d) < tolerance)
-        along |= beside & (normal[:, :2] @ inwards > 0.9)
+        on_edge = (u > -1e-3) & (u < length + 1e-3) & (np.abs(d) < ON_PLANE)
+        along |= on_edge & (normal[:, :2] @ inwards > LEVEL)
     return along
 
 

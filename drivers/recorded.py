@@ -1,0 +1,115 @@
+"""Scans that somebody else took, read from a folder: 3DTK ``.3d`` with ``.pose``, PLY and PCD.
+
+Such files hold points and no beams; the beams are found again by direction, so that the later stages know where the
+scanner looked and where nothing came back.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception import transforms
+from perception.failure import FailureError
+from perception.scan import BeamPattern, Scan
+from perception.transforms import Matrix
+
+CLOUDS = (".3d", ".ply", ".pcd")
+_STEPS_DEG = (0.1, 0.2, 0.25, 0.4, 0.5, 1.0)
+_FILL = 0.6
+_3DTK_RANGES = (0.4, 20.0)
+_RIGHT_FROM_LEFT_HANDED = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A scan of a folder, and where its taker says it was taken: ``world_from_scanner`` 4x4, None where he does not."""
+
+    scan: Scan
+    world_from_scanner: Matrix | None
+
+
+def read_folder(folder: Path) -> list[Recorded]:
+    """All scans of a folder in the order of their names.
+
+    Raises:
+        FailureError: ``RECORDED_NONE`` when the folder holds no such file, ``RECORDED_BROKEN`` when one cannot be read.
+    """
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CLOUDS)
+    if not files:
+        raise FailureError("RECORDED_NONE", f"{folder}: expected files {', '.join(CLOUDS)}, found none")
+    return [_read(path, f"S{number:02d}") for number, path in enumerate(files, 1)]
+
+
+def scan_of(points: NDArray[np.floating], scan_id: str) -> Scan:
+    """A scan out of bare points ``(N, 3)`` in the scanner's frame: one point a beam, the nearest one.
+
+    The pattern's step is the finest that the points still fill.
+    """
+    ranges = np.linalg.norm(points, axis=1)
+    pattern = _pattern(points, ranges)
+    beam = pattern.beams_towards(points)
+    order = np.lexsort((ranges, beam))
+    order = order[beam[order] >= 0]
+    _, first = np.unique(beam[order], return_index=True)
+    kept = order[first]
+    ones = np.ones(len(kept), np.float32)
+    return Scan(scan_id, points[kept].astype(np.float32), ones, beam[kept], pattern, np.eye(4), np.eye(4))
+
+
+def _read(path: Path, scan_id: str) -> Recorded:
+    try:
+        if path.suffix.lower() == ".3d":
+            return Recorded(scan_of(_read_3dtk(path), scan_id), _read_3dtk_pose(path.with_suffix(".pose")))
+        return Recorded(scan_of(_read_cloud(path), scan_id), None)
+    except (ValueError, OSError) as error:
+        raise FailureError("RECORDED_BROKEN", f"{path}: {error}") from error
+
+
+def _read_cloud(path: Path) -> NDArray[np.float64]:
+    import open3d as o3d
+
+    points = np.asarray(o3d.io.read_point_cloud(str(path)).points)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) == 0:
+        raise ValueError("expected points, found none")
+    return points
+
+
+def _read_3dtk(path: Path) -> NDArray[np.float64]:
+    """Points in metres, right-handed; what is nearer or further than the scanner measures is no return."""
+    points = np.loadtxt(path, usecols=(0, 1, 2)) @ _RIGHT_FROM_LEFT_HANDED.T / 100
+    ranges = np.linalg.norm(points, axis=1)
+    return points[(ranges > _3DTK_RANGES[0]) & (ranges < _3DTK_RANGES[1])]
+
+
+def _read_3dtk_pose(path: Path) -> Matrix | None:
+    """Position and Euler angles in centimetres and degrees of a left-handed frame, ``R = Rx Ry Rz``."""
+    if not path.exists():
+        return None
+    values = np.loadtxt(path).ravel()
+    if values.shape != (6,):
+        raise ValueError(f"{path}: expected 6 numbers, found {len(values)}")
+    x, y, z = (
+        transforms.from_euler(*(angle * unit))[:3, :3]
+        for angle, unit in zip(np.deg2rad(values[3:]), np.eye(3), strict=True)
+    )
+    pose = np.eye(4)
+    change = _RIGHT_FROM_LEFT_HANDED
+    pose[:3, :3] = change @ (x @ y @ z) @ change.T
+    pose[:3, 3] = change @ values[:3] / 100
+    return pose
+
+
+def _pattern(points: NDArray[np.floating], ranges: NDArray[np.floating]) -> BeamPattern:
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    low, high = (float(value) for value in np.quantile(elevation, (0.0005, 0.9995)))
+    limits = (max(0.0, float(ranges.min()) * 0.999), float(ranges.max()) * 1.001)
+    for step in _STEPS_DEG:
+        pattern = BeamPattern.with_step(np.deg2rad(step), (low, high), limits)
+        beams = pattern.beams_towards(points)
+        looked_at = np.unique(beams[beams >= 0] % pattern.columns).size / pattern.columns
+        if np.unique(beams[beams >= 0]).size > _FILL * looked_at * pattern.size:
+            return pattern
+    return pattern

@@ -1,0 +1,85 @@
+"""The two simulated agents as processes: each announces on stdout where it listens, then serves until it is ended."""
+
+import json
+import sys
+import threading
+from pathlib import Path
+
+from drivers.agent import serve_base, serve_scanner
+from drivers.simulated.base import SimulatedBase
+from drivers.simulated.clock import ScaledClock
+from drivers.simulated.profile import SCANNERS
+from drivers.simulated.scanner import SimulatedScanner
+from drivers.simulated.scanner_device import SimulatedScannerDevice
+from drivers.simulated.scenario import Scenario, load_scenario
+from drivers.simulated.side_channel import StanceServer, ask_stance
+from drivers.simulated.truth_log import TruthLog
+from drivers.simulated.world import read_world
+from drivers.wire.endpoints import Endpoints
+from perception.failure import FailureError
+
+
+def run_scanner_agent(
+    world: Path,
+    truth: Path,
+    plant: str,
+    endpoints: Endpoints,
+    profile: str = "vz-400",
+    seed: int = 0,
+    speed: float = 1.0,
+    scenario: Path | None = None,
+) -> None:
+    """Serve a simulated scanner in a world until SIGTERM.
+
+    Args:
+        world: file written by :func:`drivers.simulated.world.save_world`.
+        truth: folder of the truth log and of the scanner's spool.
+        plant: side channel of the simulated base, on which the scanner stands.
+
+    Raises:
+        FailureError: ``PROFILE_UNKNOWN``, or as :func:`drivers.agent.serve_scanner`.
+    """
+    if profile not in SCANNERS:
+        raise FailureError("PROFILE_UNKNOWN", f"no scanner profile '{profile}'; known: {', '.join(SCANNERS)}")
+    device = SimulatedScannerDevice(
+        SimulatedScanner(read_world(world), SCANNERS[profile], seed),
+        lambda: ask_stance(plant),
+        ScaledClock(speed),
+        _scenario(scenario).scanner,
+        TruthLog(truth),
+    )
+    serve_scanner(device, endpoints, truth / "spool", lambda bound: announce(bound))
+
+
+def run_base_agent(
+    world: Path,
+    truth: Path,
+    plant: str,
+    endpoints: Endpoints,
+    seed: int = 0,
+    speed: float = 1.0,
+    scenario: Path | None = None,
+) -> None:
+    """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`."""
+    base = SimulatedBase(read_world(world), scenario=_scenario(scenario), seed=seed, truth=TruthLog(truth))
+    channel = StanceServer(base.stance, plant)
+    ended = threading.Event()
+    motion = threading.Thread(target=base.run, args=(ScaledClock(speed), ended.is_set), name="motion", daemon=True)
+    motion.start()
+    try:
+        serve_base(base, endpoints, lambda bound: announce(bound, plant=channel.endpoint))
+    finally:
+        ended.set()
+        motion.join()
+        channel.close()
+
+
+def announce(bound: Endpoints, **more: str) -> None:
+    """One JSON line on stdout with every address, for whoever started the process."""
+    told = {"control": bound.control, "bulk": bound.bulk, "telemetry": bound.telemetry, **more}
+    sys.stdout.write(json.dumps(told) + "\n")
+    sys.stdout.flush()
+
+
+def _scenario(path: Path | None) -> Scenario:
+    return load_scenario(path) if path else Scenario()

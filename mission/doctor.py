@@ -1,0 +1,98 @@
+"""Looks whether a machine is fit for a mission, before anything moves: each finding with what to do about it."""
+
+import ctypes
+import shutil
+import sys
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+_LIBRARIES = {
+    "libEGL.so.1": "libegl1",
+    "libGL.so.1": "libgl1",
+    "libX11.so.6": "libx11-6",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+}
+_PACKAGES = ("open3d-cpu", "py-trees", "numpy", "scipy", "opencv-python-headless", "pyzmq", "numba", "pye57")
+_DISK_GB = 5.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: whether it is good, and what was found."""
+
+    what: str
+    good: bool
+    found: str
+
+
+def examine(site: Path | None = None) -> list[Finding]:
+    """Everything about this machine, and about a site's agents where its configuration is given."""
+    findings = [_python(), *_libraries(), *_packages(), _disk()]
+    return findings if site is None else [*findings, *_site(site)]
+
+
+def _python() -> Finding:
+    version = sys.version.split()[0]
+    good = sys.version_info >= (3, 11)
+    return Finding("Python", good, version if good else f"{version}; expected 3.11 or newer")
+
+
+def _libraries() -> list[Finding]:
+    # Before Open3D is imported: its own message does not say which package is missing.
+    return [_library(name, package) for name, package in _LIBRARIES.items()] if sys.platform == "linux" else []
+
+
+def _library(name: str, package: str) -> Finding:
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return Finding(name, False, f"missing; apt-get install {package}")
+    return Finding(name, True, "present")
+
+
+def _packages() -> list[Finding]:
+    return [_package(name) for name in _PACKAGES]
+
+
+def _package(name: str) -> Finding:
+    for alias in (name, name.removesuffix("-cpu")):
+        try:
+            return Finding(name, True, metadata.version(alias))
+        except metadata.PackageNotFoundError:
+            continue
+    return Finding(name, False, "missing; make setup")
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    return Finding("disk", free > _DISK_GB, f"{free:.0f} GB free of {_DISK_GB:.0f} GB needed")
+
+
+def _site(site: Path) -> list[Finding]:
+    from mission.config import ConfigError, load_config
+
+    try:
+        config = load_config(site)
+    except ConfigError as error:
+        return [Finding(str(site), False, str(error))]
+    return [Finding(str(site), True, f"site {config.site}"), *_agents(config.scanner, config.base)]
+
+
+def _agents(scanner: object, base: object) -> list[Finding]:
+    from drivers.wire.base_client import BaseClient
+    from drivers.wire.endpoints import Endpoints
+    from drivers.wire.scanner_client import ScannerClient
+    from mission.run import wait_for
+    from perception.failure import Failure
+
+    assert isinstance(scanner, Endpoints) and isinstance(base, Endpoints)
+    drives = BaseClient(base)
+    answers = {"scanner": wait_for(ScannerClient(scanner).info(), 10.0), "base": wait_for(drives.info(), 10.0)}
+    drives.close()
+    return [
+        Finding(name, False, str(answer))
+        if isinstance(answer, Failure)
+        else Finding(name, True, f"{answer.model} {answer.serial}")
+        for name, answer in answers.items()
+    ]

@@ -1,0 +1,116 @@
+"""A mission in a simulated building: two agent processes are started, and the mission meets them over sockets only."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.simulated.world import save_world
+from drivers.simulated.worlds import load_world
+from drivers.wire.endpoints import Endpoints
+from mission.config import SiteConfig, parse_config
+from mission.evaluation import evaluate_run
+from mission.finish import finish
+from mission.run import Display, Summary, UnreachableError, run_mission
+from mission.store import RunFolder, write_text
+
+_ANY_PORT = "tcp://127.0.0.1:*"
+_PATIENCE_S = 10
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What to rehearse, as ``mission simulate`` takes it."""
+
+    world: str
+    seed: int = 0
+    step_deg: float = 0.2
+    profile: str = "vz-400"
+    speed: float = 10.0
+    scenario: Path | None = None
+    overrides: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def site(self) -> str:
+        """Name for the run folder: the world's, and its seed."""
+        stem = "".join(c if c.isalnum() else "-" for c in Path(self.world).stem.lower()).strip("-") or "world"
+        return f"{stem[:40]}-{self.seed}"
+
+
+def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summary:
+    """Run a simulated mission to its report and its evaluation.
+
+    Raises:
+        FailureError: when the world cannot be loaded.
+        ConfigError: when an override breaks a rule.
+        UnreachableError: when an agent does not come up.
+    """
+    # Checked before anything is started: a wrong override must not cost a building.
+    configure(plan, Endpoints(_ANY_PORT), Endpoints(_ANY_PORT))
+    world = load_world(plan.world, plan.seed, **plan.options)
+    folder = RunFolder.create(out, plan.site)
+    folder.simulation.mkdir()
+    world_file = folder.simulation / "world.npz"
+    save_world(world, world_file)
+    write_text(folder.simulation / "rehearsal.json", json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
+    with agents(plan, world_file, folder.simulation) as (scanner, base):
+        summary = run_mission(configure(plan, scanner, base), folder, display)
+    evaluate_run(folder.path)
+    finish(folder)
+    return summary
+
+
+def configure(plan: Rehearsal, scanner: Endpoints, base: Endpoints) -> SiteConfig:
+    """The configuration a site with such agents would have."""
+    data = {
+        "site": plan.site,
+        "scanner": {"control": scanner.control, "bulk": scanner.bulk},
+        "base": {"control": base.control, "telemetry": base.telemetry},
+        "clock_rate": plan.speed,
+        "settings": {"scanning": {"step_deg": plan.step_deg}},
+    }
+    return parse_config(data, "mission simulate", plan.overrides)
+
+
+@contextmanager
+def agents(plan: Rehearsal, world: Path, truth: Path) -> Iterator[tuple[Endpoints, Endpoints]]:
+    """Both agents as processes of their own, ended on the way out whatever happens."""
+    common = [f"--world={world}", f"--truth={truth}", f"--seed={plan.seed}", f"--speed={plan.speed}"]
+    if plan.scenario is not None:
+        common.append(f"--scenario={plan.scenario}")
+    with _process("base", [*common, f"--plant={_ANY_PORT}", f"--telemetry={_ANY_PORT}"], truth) as base:
+        own = [f"--plant={base['plant']}", f"--bulk={_ANY_PORT}", f"--profile={plan.profile}"]
+        with _process("scanner", [*common, *own], truth) as scanner:
+            yield _endpoints(scanner), _endpoints(base)
+
+
+@contextmanager
+def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict[str, str]]:
+    """An agent that has said where it listens."""
+    command = [sys.executable, "-m", "mission", "agent", name, f"--control={_ANY_PORT}", *arguments]
+    log = log_folder / f"{name}.log"
+    with (
+        log.open("w") as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            if not line:
+                raise UnreachableError(f"the {name}'s agent did not come up: {log.read_text()[-2000:]}")
+            yield json.loads(line)
+        finally:
+            process.terminate()
+            try:
+                process.wait(_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def _endpoints(told: Mapping[str, str]) -> Endpoints:
+    return Endpoints(told["control"], told["bulk"], told["telemetry"])

@@ -1,0 +1,42 @@
+"""The stages as the worker runs them: load from the run folder, call the pure function, keep what it made.
+
+Each stage takes ids, poses and figures and returns a small value; arrays stay on disk and in the worker's memory.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from mission.stages import placing, seeing, shaping
+from mission.stages.library import Library
+from mission.store import RunFolder
+
+STAGES: dict[str, Callable[..., Any]] = {
+    "warm_up": placing.warm_up,
+    "validate_scan": placing.validate_scan,
+    "align_scan": placing.align_scan,
+    "anchor_scan": placing.anchor_scan,
+    "register_scan": placing.register_scan,
+    "register_globally": placing.register_globally,
+    "segment_room": shaping.segment_room,
+    "build_map": shaping.build_map,
+    "label_space": seeing.label_space,
+    "choose_view": seeing.choose_view,
+    "find_doors": shaping.find_doors,
+}
+
+
+def run(folder: Path, stage: str, arguments: Mapping[str, Any]) -> Any:
+    """Run a stage on the files of a run.
+
+    Raises:
+        KeyError: for a stage that does not exist.
+        FailureError: as the stage says.
+    """
+    return STAGES[stage](_library(folder), **arguments)
+
+
+@lru_cache(maxsize=1)
+def _library(folder: Path) -> Library:
+    return Library(RunFolder(folder))

@@ -1,0 +1,218 @@
+import numpy as np
+import pytest
+
+from drivers.jobs import Done, Failed, Running
+from drivers.simulated.base import SimulatedBase
+from drivers.simulated.bodies import Track
+from drivers.simulated.clock import ScaledClock
+from drivers.simulated.scenario import BaseFaults, Scenario
+from drivers.simulated.truth_log import TruthLog, read_truth
+from perception import transforms
+from perception.grids import Cell
+from tests.drivers.simulated_rooms import goal, perfect_map, run, two_rooms
+
+WORLD = two_rooms()
+MAP = perfect_map(WORLD)
+DOORWAY = (4.1, 2.0, 0.0)
+BEYOND = (7.0, 3.0, None)
+FOR_EVER = 1e6
+
+
+def base_in(world=WORLD, **options):
+    return SimulatedBase(world, **options)
+
+
+def drive(base, place, name="g1", known=WORLD.start, seconds=120.0, robot_map=MAP):
+    base.start_drive(goal(robot_map, place, known, name))
+    taken = run(base, seconds, name)
+    return base.drive_status(name), taken
+
+
+def misses(base, place):
+    """Metres and degrees between where the base truly stands and where it should."""
+    x, y, yaw = transforms.to_planar(base.stance().map_from_base)
+    turn = 0.0 if place[2] is None else np.angle(np.exp(1j * (yaw - place[2])))
+    return float(np.hypot(x - place[0], y - place[1])), abs(float(np.rad2deg(turn)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_stands_under_a_door_of_90_cm_within_5_cm_and_3_degrees_and_drives_on(seed):
+    base = base_in(seed=seed)
+    outcome, _ = drive(base, DOORWAY)
+    assert isinstance(outcome, Done), outcome
+    off, turn = misses(base, DOORWAY)
+    assert off < 0.05 and turn < 3.0
+    outcome, _ = drive(base, BEYOND, "g2", known=None)
+    assert isinstance(outcome, Done), outcome
+    assert misses(base, BEYOND)[0] < 0.10
+    assert base.collisions == 0
+    believed, _ = transforms.difference(base.telemetry().map_from_base, base.stance().map_from_base)
+    assert believed < 0.05
+
+
+def test_the_report_tells_the_way_it_took():
+    base = base_in()
+    outcome, _ = drive(base, BEYOND)
+    track = np.array(outcome.value.track)
+    steps = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
+    assert np.allclose(track[0, :2], WORLD.start[:2], atol=0.05)
+    assert np.allclose(track[-1, :2], BEYOND[:2], atol=0.15)
+    assert steps.max() < 0.1
+    assert outcome.value.distance == pytest.approx(steps.sum(), abs=0.1)
+
+
+def test_a_goal_without_a_way_fails_at_once_and_nothing_is_driven():
+    closed = MAP.with_data(MAP.data.copy())
+    (row, first), (_, last) = MAP.cells_of([[4.1, 1.5], [4.1, 2.5]])
+    closed.data[row : MAP.cells_of([4.1, 2.5])[0] + 1, first : last + 1] = Cell.OBSTACLE
+    base = base_in()
+    outcome, taken = drive(base, BEYOND, robot_map=closed)
+    assert isinstance(outcome, Failed) and outcome.failure.code == "NAV_NO_PATH"
+    assert taken < 0.2
+    assert misses(base, WORLD.start)[0] == 0.0
+
+
+def test_a_goal_inside_a_wall_has_no_path():
+    outcome, _ = drive(base_in(), (4.1, 0.8, None))
+    assert isinstance(outcome, Failed) and outcome.failure.code == "NAV_NO_PATH"
+
+
+def test_a_door_of_70_cm_is_passed_and_one_of_55_cm_is_not():
+    for width, passes in ((0.72, True), (0.55, False)):
+        world = two_rooms(width)
+        base = SimulatedBase(world)
+        outcome, _ = drive(base, BEYOND, robot_map=perfect_map(world))
+        assert isinstance(outcome, Done) == passes, (width, outcome)
+        assert base.collisions == 0
+
+
+def test_it_waits_for_a_person_in_the_door_and_goes_on():
+    person = Track(((0.0, 4.1, 2.0), (14.0, 4.1, 2.0), (17.0, 6.5, 3.5), (FOR_EVER, 6.5, 3.5)))
+    base = base_in(scenario=Scenario(tracks=(person,)))
+    base.start_drive(goal(MAP, (5.5, 2.0, None), WORLD.start))
+    activities = set()
+    for _ in range(800):
+        base.step(0.05)
+        activities.add(str(base.telemetry().activity))
+        if not isinstance(base.drive_status("g1"), Running):
+            break
+    assert isinstance(base.drive_status("g1"), Done), base.drive_status("g1")
+    assert "waiting" in activities
+    assert base.collisions == 0
+
+
+def test_it_drives_round_a_cart_that_stays():
+    cart = Track(((2.0, 2.5, 1.2), (FOR_EVER, 2.5, 1.2)), kind="cart")
+    base = base_in(scenario=Scenario(tracks=(cart,)))
+    outcome, _ = drive(base, (3.4, 2.8, None))
+    assert isinstance(outcome, Done), outcome
+    assert base.collisions == 0
+
+
+def test_a_way_that_stays_blocked_fails_with_where_it_has_been():
+    cart = Track(((0.0, 4.1, 2.0), (FOR_EVER, 4.1, 2.0)), kind="cart")
+    base = base_in(scenario=Scenario(tracks=(cart,)))
+    outcome, taken = drive(base, BEYOND)
+    assert isinstance(outcome, Failed) and outcome.failure.code == "NAV_BLOCKED"
+    assert 20.0 < taken < 100.0
+    assert len(outcome.failure.evidence["track"]) > 5
+    assert np.shape(outcome.failure.evidence["map_from_base"]) == (4, 4)
+    assert base.collisions == 0
+    believed = np.array(outcome.failure.evidence["map_from_base"])
+    assert transforms.difference(believed, base.stance().map_from_base)[0] < 0.06
+
+
+def test_odometry_drifts_within_its_bounds_and_never_jumps():
+    bases = [base_in(seed=seed) for seed in range(4)]
+    drifts = []
+    for base in bases:
+        last = base.telemetry().odom_from_base
+        base.start_drive(goal(MAP, BEYOND, WORLD.start))
+        while isinstance(base.drive_status("g1"), Running):
+            base.step(0.05)
+            now = base.telemetry().odom_from_base
+            assert transforms.difference(last, now)[0] < 0.08
+            last = now
+        true = transforms.inverse(transforms.planar(*WORLD.start)) @ base.stance().map_from_base
+        drifts.append(transforms.difference(true, last)[0])
+    assert 0.01 < max(drifts) < 0.6
+    assert len({round(drift, 6) for drift in drifts}) == 4
+
+
+def test_spinning_wheels_do_not_lose_it():
+    base = base_in(scenario=Scenario(base=BaseFaults(slip_at=(1.0, 2.5))))
+    outcome, _ = drive(base, BEYOND)
+    assert isinstance(outcome, Done), outcome
+    assert misses(base, BEYOND)[0] < 0.10
+
+
+def test_no_drive_ever_touches_anything():
+    base = base_in(seed=11)
+    rng = np.random.default_rng(5)
+    done = 0
+    for index in range(6):
+        place = (float(rng.uniform(0.7, 7.5)), float(rng.uniform(0.7, 3.3)), None)
+        outcome, _ = drive(base, place, f"g{index}", WORLD.start if index == 0 else None)
+        done += isinstance(outcome, Done)
+        assert isinstance(outcome, Done) or outcome.failure.code == "NAV_NO_PATH", outcome
+    assert done >= 4
+    assert base.collisions == 0
+
+
+def test_a_stop_ends_the_goal_and_the_wheels():
+    base = base_in()
+    base.start_drive(goal(MAP, BEYOND, WORLD.start))
+    run(base, 2.0)
+    assert base.telemetry().moving
+    base.stop()
+    run(base, 2.0)
+    outcome = base.drive_status("g1")
+    assert isinstance(outcome, Failed) and outcome.failure.code == "CANCELLED" and outcome.failure.evidence["track"]
+    for _ in range(30):
+        base.step(0.05)
+    assert not base.telemetry().moving
+    assert base.telemetry().activity == "stopped"
+
+
+def test_the_same_goal_is_not_driven_twice_and_a_new_one_takes_over():
+    base = base_in()
+    base.start_drive(goal(MAP, BEYOND, WORLD.start, "g1"))
+    run(base, 1.0)
+    base.start_drive(goal(MAP, (1.0, 3.0, None), None, "g2"))
+    run(base, 60.0, "g2")
+    assert base.drive_status("g1").failure.code == "CANCELLED"
+    assert isinstance(base.drive_status("g2"), Done)
+    at = misses(base, BEYOND)
+    base.start_drive(goal(MAP, BEYOND, WORLD.start, "g1"))
+    run(base, 1.0, "g1")
+    assert misses(base, BEYOND) == at
+    assert base.drive_status("g3") is None
+
+
+def test_the_red_button_stops_it_and_is_told():
+    base = base_in(scenario=Scenario(base=BaseFaults(emergency_stop=((2.0, 4.0),))))
+    outcome, taken = drive(base, BEYOND)
+    assert isinstance(outcome, Failed) and outcome.failure.code == "ESTOP"
+    assert taken == pytest.approx(2.0, abs=0.11)
+    assert base.telemetry().emergency_stop and not base.telemetry().moving
+
+
+def test_a_base_that_was_never_told_where_it_stands_does_not_drive():
+    outcome, _ = drive(base_in(), BEYOND, known=None)
+    assert isinstance(outcome, Failed) and outcome.failure.code == "NAV_STUCK"
+
+
+def test_the_truth_log_has_drives_and_collisions(tmp_path):
+    wall_missing = MAP.with_data(np.full_like(MAP.data, Cell.FREE))
+    base = base_in(truth=TruthLog(tmp_path))
+    drive(base, (2.5, 2.0, None), robot_map=wall_missing)
+    (event,) = read_truth(tmp_path)
+    assert event["event"] == "drive" and event["distance"] > 0.5
+
+
+def test_it_runs_by_itself_on_a_clock():
+    base = base_in()
+    clock = ScaledClock(20.0)
+    base.start_drive(goal(MAP, (2.2, 1.5, None), WORLD.start))
+    base.run(clock, lambda: not isinstance(base.drive_status("g1"), Running) or clock.now() > 200.0)
+    assert isinstance(base.drive_status("g1"), Done)

@@ -1,0 +1,334 @@
+"""A base over real sockets: each goal is driven once, a stop always gets through, old commands move nothing."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+import zmq
+
+from drivers.agent import base_agent, serve_base
+from drivers.interfaces import BaseInfo
+from drivers.messages import (
+    PROTOCOL,
+    AnyReply,
+    BaseRequest,
+    Drive,
+    Goal,
+    Ok,
+    Pending,
+    Pose,
+    Reply,
+    Request,
+    Stale,
+    Stop,
+    Telemetry,
+)
+from drivers.wire.base_client import BaseClient
+from drivers.wire.codec import Codec, encode
+from drivers.wire.endpoints import Endpoints
+from drivers.wire.sockets import Sockets
+from drivers.wire.telemetry import Listener
+from perception import transforms
+from perception.failure import FailureError
+from tests.drivers.wire_fakes import (
+    ANY_PORT,
+    ANYWHERE,
+    QUICK,
+    FakeBase,
+    Proxy,
+    eventually,
+    failure_of,
+    make_goal,
+    restarted,
+    value_of,
+)
+
+replies: Codec = Codec(Reply[AnyReply])
+
+
+@pytest.fixture
+def device() -> FakeBase:
+    return FakeBase()
+
+
+@pytest.fixture
+def agent(device):
+    with base_agent(device, ANYWHERE) as agent:
+        yield agent
+
+
+@pytest.fixture
+def client(agent):
+    client = BaseClient(agent.endpoints, QUICK)
+    yield client
+    client.close()
+
+
+def ask(socket: zmq.Socket, body: object, request_id: str, **stamp: object) -> Reply:
+    """One exchange by hand, for what the client would never send."""
+    socket.send(encode(Request(PROTOCOL, request_id, body, **stamp)))
+    assert socket.poll(20_000), "no reply"
+    return replies.decode(socket.recv())
+
+
+def test_a_goal_is_driven_and_reported(device, client):
+    report = value_of(client.drive(make_goal()))
+    assert (report.goal_id, len(report.track), report.distance) == ("G01", 2, 1.1)
+    np.testing.assert_allclose(report.map_from_base, transforms.planar(1.0, 0.5, 0.0), atol=1e-12)
+    np.testing.assert_array_equal(device.driven[0].robot_map.data, make_goal().robot_map.data)
+
+
+def test_the_base_says_who_it_is(client):
+    assert value_of(client.info()) == BaseInfo("fake base", "0002", 1, (0.9, 0.6))
+
+
+def test_the_same_goal_is_driven_once(device, client):
+    value_of(client.drive(make_goal()))
+    value_of(client.drive(make_goal()))
+    assert len(device.driven) == 1
+
+
+def test_a_refusal_comes_out_of_the_job(device, client):
+    device.refuses = FailureError("NAV_NO_PATH", "walls all around", track=[])
+    failure = failure_of(client.drive(make_goal()))
+    assert (failure.code, failure.evidence) == ("NAV_NO_PATH", {"track": []})
+
+
+def test_cancelling_a_drive_stops_the_base(device, client):
+    device.duration = 30.0
+    job = client.drive(make_goal())
+    eventually(lambda: device.driven)
+    job.cancel()
+    assert failure_of(job).code == "CANCELLED"
+    assert device.stops >= 1 and device.current is None
+
+
+def test_a_stop_from_elsewhere_ends_the_drive_with_its_track(device, client):
+    device.duration = 30.0
+    job = client.drive(make_goal())
+    eventually(lambda: device.driven)
+    assert value_of(client.stop()) is None
+    failure = failure_of(job)
+    assert (failure.code, failure.evidence["track"]) == ("NAV_STOPPED", [[0.0, 0.0, 0.0]])
+
+
+def test_a_stop_gets_through_while_the_device_thinks_and_the_goal_never_moves_it(device, client):
+    device.duration = 30.0
+    device.may_start.clear()
+    job = client.drive(make_goal())
+    eventually(lambda: device.asked)
+    value_of(client.stop())
+    assert device.stops == 1 and device.driven == []
+    device.may_start.set()
+    assert failure_of(job).code == "NAV_STOPPED"
+    assert device.current is None
+
+
+def test_cancelling_one_goal_does_not_stop_the_next(device, client):
+    device.duration = 0.5
+    first = client.drive(make_goal("G01"))
+    eventually(lambda: device.driven)
+    second = client.drive(make_goal("G02"))
+    eventually(lambda: len(device.driven) == 2)
+    first.cancel()
+    failure_of(first)
+    assert value_of(second).goal_id == "G02"
+
+
+def test_a_base_that_restarts_during_a_drive_is_not_sent_on(device, agent, client):
+    device.duration, device.in_map = 30.0, transforms.planar(0.4, 0.1, 0.0)
+    eventually(lambda: (state := client.state()) and state.map_from_base is not None)
+    job = client.drive(make_goal())
+    eventually(lambda: device.driven)
+    agent.close()
+    assert device.current is None, "an agent that ends leaves the base at rest"
+    second = FakeBase()
+    with restarted(lambda: base_agent(second, agent.endpoints)):
+        failure = failure_of(job)
+    assert failure.code == "NAV_STUCK" and np.allclose(failure.evidence["map_from_base"], device.in_map)
+    assert second.driven == []
+
+
+def test_a_drive_whose_reply_was_lost_is_not_given_to_the_next_process(device, agent):
+    """The first process drives but its word does not come through; the second must not begin anew."""
+    lost = threading.Event()
+
+    def to_client(number: int, frame: bytes) -> list[bytes]:
+        if isinstance(replies.decode(frame).body, Pending):
+            lost.set()
+            return []
+        return [frame]
+
+    with Proxy(agent.endpoints.control, to_client=to_client) as proxy:
+        client = BaseClient(Endpoints(proxy.endpoint, telemetry=agent.endpoints.telemetry), QUICK)
+        device.duration = 30.0
+        job = client.drive(make_goal())
+        assert lost.wait(20.0)
+        agent.close()
+        second = FakeBase()
+        with restarted(lambda: base_agent(second, agent.endpoints)):
+            assert failure_of(job).code == "NAV_STUCK"
+        client.close()
+    assert len(device.driven) == 1 and second.driven == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_over_a_bad_link_each_goal_is_driven_once(device, agent, seed):
+    random = np.random.default_rng(seed)
+
+    def unreliable(number: int, frame: bytes) -> list[bytes]:
+        return [[], [frame], [frame], [frame, frame], [frame[:-2], frame]][random.integers(5)]
+
+    with Proxy(agent.endpoints.control, unreliable, unreliable) as proxy:
+        client = BaseClient(Endpoints(proxy.endpoint, telemetry=agent.endpoints.telemetry), QUICK)
+        for name in ("G01", "G02", "G03"):
+            assert value_of(client.drive(make_goal(name))).goal_id == name
+        client.close()
+    assert [goal.goal_id for goal in device.driven] == ["G01", "G02", "G03"]
+
+
+def test_a_command_is_void_without_a_stamp_after_its_time_and_for_another_boot(device, agent):
+    order = Drive(Goal.of(make_goal()))
+    with Sockets().dealer(agent.endpoints.control) as socket:
+        first = ask(socket, order, "r1")
+        assert isinstance(first.body, Stale)
+        boot, now = first.boot, first.clock
+        assert isinstance(ask(socket, order, "r2", boot=boot, valid_until=now - 0.1).body, Stale)
+        assert isinstance(ask(socket, order, "r3", boot="another", valid_until=now + 9).body, Stale)
+        assert isinstance(ask(socket, order, "r4", boot=boot, valid_until=float("nan")).body, Stale)
+        assert device.driven == []
+        assert isinstance(ask(socket, order, "r5", boot=boot, valid_until=now + 9).body, Pending)
+        eventually(lambda: device.driven)
+
+
+def test_a_repeated_request_gets_the_remembered_reply(device, agent):
+    with Sockets().dealer(agent.endpoints.control) as socket:
+        for _ in range(3):
+            assert isinstance(ask(socket, Stop(), "same").body, Ok)
+        assert device.stops == 1
+        ask(socket, Stop(), "other")
+        assert device.stops == 2
+
+
+def test_a_drive_that_comes_after_its_own_stop_is_not_begun(device, agent, client):
+    with Sockets().dealer(agent.endpoints.control) as socket:
+        assert isinstance(ask(socket, Stop("G01"), "r1").body, Ok)
+    assert failure_of(client.drive(make_goal("G01"))).code == "CANCELLED"
+    assert device.driven == []
+
+
+def test_garbage_does_not_keep_the_agent_from_a_good_client(agent, client):
+    random = np.random.default_rng(3)
+    good = encode(Request(PROTOCOL, "r", Drive(Goal.of(make_goal()))))
+    with Sockets().dealer(agent.endpoints.control) as socket:
+        for number in range(20_000):
+            frame = bytearray(good[: random.integers(1, len(good))] if number % 2 else good)
+            frame[random.integers(len(frame))] = random.integers(256)
+            socket.send(bytes(frame))
+            if number % 32 == 31:  # stay under the high-water mark, so that all of it arrives
+                while socket.poll(0):
+                    socket.recv()
+        socket.send_multipart([b""] * 20)
+        assert value_of(client.info()).model == "fake base"
+
+
+def test_a_link_that_went_deaf_is_replaced_and_the_request_keeps_its_id():
+    requests: Codec = Codec(Request[BaseRequest])
+    with Sockets().router(ANY_PORT)[0] as socket:
+        endpoint = socket.get_string(zmq.LAST_ENDPOINT).rstrip("\0")
+        client = BaseClient(Endpoints(endpoint, telemetry=ANY_PORT.replace("*", "1")), QUICK)
+        job = client.stop()
+        deaf, first = socket.recv_multipart()
+        identity, frame = deaf, first
+        while identity == deaf:
+            assert socket.poll(20_000), "it never tried another link"
+            identity, frame = socket.recv_multipart()
+        request_id = requests.decode(frame).request_id
+        socket.send_multipart([identity, encode(Reply(PROTOCOL, request_id, Ok(), "boot", 0.0))])
+        assert value_of(job) is None and request_id == requests.decode(first).request_id
+        client.close()
+
+
+def test_an_agent_of_another_version_is_named():
+    with Sockets().router(ANY_PORT)[0] as socket:
+        endpoint = socket.get_string(zmq.LAST_ENDPOINT).rstrip("\0")
+        client = BaseClient(Endpoints(endpoint, telemetry=ANY_PORT.replace("*", "1")), QUICK)
+        job = client.info()
+        identity, frame = socket.recv_multipart()
+        socket.send_multipart([identity, frame.replace(b"version\x01", b"version\x02")])
+        failure = failure_of(job)
+        client.close()
+    assert failure.code == "PROTOCOL_MISMATCH" and failure.evidence["theirs"] == 2
+
+
+def test_a_client_of_another_version_is_told(agent):
+    with Sockets().dealer(agent.endpoints.control) as socket:
+        socket.send(encode(Request(2, "r", Stop())))
+        reply = replies.decode(socket.recv())
+    assert (reply.request_id, reply.body.code) == ("r", "PROTOCOL_MISMATCH")
+
+
+def test_the_newest_telemetry_is_known_with_its_age(device, agent, client):
+    eventually(lambda: client.state() is not None)
+    state = client.state()
+    np.testing.assert_allclose(state.odom_from_base, device.pose, atol=1e-12)
+    assert (state.map_from_base, state.moving, state.battery, state.activity) == (None, False, 0.75, "idle")
+    device.pose = transforms.planar(3.0, 0.0, 0.0)
+    eventually(lambda: np.allclose(client.state().odom_from_base, device.pose))
+    assert client.state().age < 5.0
+    agent.close()
+    time.sleep(0.3)
+    assert client.state().age >= 0.3
+
+
+def test_telemetry_goes_on_after_a_restart_of_the_agent(device, agent, client):
+    eventually(lambda: client.state() is not None)
+    agent.close()
+    second = FakeBase()
+    second.in_map = transforms.planar(9.0, 9.0, 0.0)
+    with restarted(lambda: base_agent(second, agent.endpoints)):
+        eventually(lambda: client.state().map_from_base is not None)
+
+
+def test_a_device_that_cannot_tell_its_state_once_is_asked_again(device, agent, client):
+    telemetry, device.telemetry = device.telemetry, lambda: 1 / 0
+    with base_agent(device, ANYWHERE) as second:
+        patient = BaseClient(second.endpoints, QUICK)
+        time.sleep(0.2)
+        assert patient.state() is None
+        patient.close()
+    device.telemetry = telemetry
+    eventually(lambda: client.state() is not None)
+
+
+def test_old_and_garbled_telemetry_is_ignored():
+    publisher, endpoint = Sockets().publisher(ANY_PORT)
+    listener = Listener(Sockets().subscriber(endpoint))
+
+    def message(boot: str, sequence: int, battery: float) -> bytes:
+        pose = Pose.of(np.eye(4))
+        return encode(Telemetry(PROTOCOL, boot, sequence, pose, None, False, False, battery, "idle"))
+
+    def publish_until(battery: float, frame: bytes) -> None:
+        eventually(lambda: publisher.send(frame) or ((s := listener.state()) and s.battery == battery))
+
+    with publisher:
+        publish_until(0.5, message("a", 7, 0.5))
+        for frame in (message("a", 6, 0.1), b"\xc1", message("a", 8, 0.1)[:-4]):
+            publisher.send(frame)
+            time.sleep(0.1)
+            assert listener.state().battery == 0.5
+        publish_until(0.4, message("a", 8, 0.4))
+        publish_until(0.3, message("b", 1, 0.3))
+        listener.close()
+
+
+def test_the_process_function_leaves_the_base_at_rest(device):
+    stop, announced = threading.Event(), []
+    thread = threading.Thread(target=serve_base, args=(device, ANYWHERE, announced.append, stop))
+    thread.start()
+    eventually(lambda: announced)
+    stop.set()
+    thread.join(20.0)
+    assert not thread.is_alive() and device.stops == 1

@@ -1,0 +1,140 @@
+"""Plays the real tree and the real executive with scripted drivers, and checks what must hold however it ends."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+
+from behaviours.services import Services
+from behaviours.settings import Settings
+from behaviours.survey import Survey
+from drivers.simulated.clock import VirtualClock
+from mission.executive import TICK, Executive
+from mission.journal import plain
+from perception.building import Room
+from tests.scenarios.scripted import FreeFloor, Script, ScriptedBase, ScriptedPerception, ScriptedScanner
+from tests.scenarios.site import Site
+from trees.building import create_root
+
+TICK_S = 10.0
+"""Mission seconds from tick to tick: nothing a script does is quicker."""
+
+_TOO_MANY_TICKS = 3000
+
+
+class Events(list[dict[str, Any]]):
+    """A journal in memory; every figure must have a place in the event log."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def record(self, kind: str, /, **figures: object) -> None:
+        self.append(json.loads(json.dumps({"t": self._clock.now(), "kind": kind, **figures}, default=plain)))
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        return [event for event in self if event["kind"] == kind]
+
+    @property
+    def codes(self) -> list[str]:
+        """Codes of all failures in their order."""
+        return [event["code"] for event in self.of("failure")]
+
+
+@dataclass
+class Play:
+    """A mission to be played: change its parts, then :meth:`run` it once.
+
+    Args:
+        each_tick: called after each tick with the play and the number of ticks so far; the place for what happens
+            to the building, to the robot, or to the operator's mind while the mission runs.
+    """
+
+    site: Site
+    script: Script = field(default_factory=Script)
+    settings: Settings = field(default_factory=Settings)
+    each_tick: Callable[["Play", int], None] = lambda _play, _ticks: None
+    abort_at: int | None = None
+    root: Behaviour = field(init=False)
+    ticks: int = 0
+
+    def __post_init__(self) -> None:
+        self.clock = self.script.clock
+        self.events = Events(self.clock)
+        self.base = ScriptedBase(self.site, self.script)
+        self.scanner = ScriptedScanner(self.base, self.script)
+        self.perception = ScriptedPerception(self.site, self.scanner, self.script)
+        self.root = create_root(self.settings)
+        services = Services(
+            self.scanner, self.base, self.perception, self.clock, self.events, FreeFloor(), self.settings
+        )
+        self.executive = Executive(self.root, services, self._sleep, self._command, self._after_tick)
+
+    def run(self) -> str:
+        outcome = self.executive.run()
+        self.assert_at_rest()
+        return outcome
+
+    @property
+    def survey(self) -> Survey:
+        return self.executive.survey
+
+    @property
+    def calls(self) -> dict[str, int]:
+        return self.script.calls
+
+    @property
+    def rooms(self) -> dict[str, tuple[str, str]]:
+        """Status and reason of each room by its name on the site."""
+        return {self.name_of(room): (room.status, room.reason) for room in self.survey.building.rooms}
+
+    @property
+    def doors(self) -> list[str]:
+        return [edge.state for edge in self.survey.building.doors]
+
+    def name_of(self, room: Room) -> str:
+        return self.site.room_at(*room.seed)
+
+    def scans_of(self, name: str) -> int:
+        return sum(
+            len(self.survey.room_scans(room.id)) for room in self.survey.building.rooms if self.name_of(room) == name
+        )
+
+    def assert_at_rest(self) -> None:
+        """What holds on every way out: nothing runs, the base was told to stop last, the journal is whole."""
+        nodes = list(self.root.iterate())
+        assert [node.name for node in nodes if node.status != Status.INVALID] == []
+        assert [job.what for job in self.script.jobs if not job.over] == []
+        assert self.base.commands[-1] == "stop"
+        shown: dict[str, str] = {}
+        for event in self.events.of("node"):
+            assert event["before"] == shown.get(event["path"], "INVALID")
+            shown[event["path"]] = event["after"]
+        assert set(shown.values()) <= {"INVALID"}
+        fetched = {event["scan_id"] for event in self.events.of("scan")}
+        registered = [event["scan_id"] for event in self.events.of("registered")]
+        assert sorted(registered) == sorted(scan.scan_id for scan in self.survey.scans)
+        assert set(registered) <= fetched
+        ended = {event["room_id"]: (event["status"], event["reason"]) for event in self.events.of("room_ended")}
+        rooms = self.survey.building.rooms
+        assert ended == {room.id: (room.status, room.reason) for room in rooms if room.status != "open"}
+
+    def _sleep(self, seconds: float) -> None:
+        self.clock.sleep(seconds * TICK_S / TICK)
+
+    def _command(self) -> str:
+        return "abort" if self.abort_at is not None and self.ticks + 1 >= self.abort_at else "run"
+
+    def _after_tick(self, ticks: int) -> None:
+        self.ticks = ticks
+        assert ticks < _TOO_MANY_TICKS, "this mission does not end"
+        self.each_tick(self, ticks)
+
+
+def with_driving(**values: object) -> Settings:
+    """Settings that differ in how the base is driven."""
+    settings = Settings()
+    return replace(settings, driving=replace(settings.driving, **values))

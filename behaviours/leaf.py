@@ -72,13 +72,17 @@ class Leaf(py_trees.behaviour.Behaviour):
 
     def fail(self, failure: Failure) -> Status:
         """FAILURE, with its typed error on the blackboard and in the journal."""
+        return self._end_with("failure", failure)
+
+    def decline(self, failure: Failure) -> Status:
+        """FAILURE that is an ordinary end, such as "no more of them": no trouble, but others branch by its code."""
+        return self._end_with("declined", failure)
+
+    def _end_with(self, kind: str, failure: Failure) -> Status:
         self.write(Key.FAILURE, failure)
+        evidence = dict(failure.evidence)
         self.services.journal.record(
-            "failure",
-            leaf=self.name,
-            code=failure.code,
-            message=failure.message,
-            evidence=dict(failure.evidence),
+            kind, leaf=self.name, code=failure.code, message=failure.message, evidence=evidence
         )
         self.say(str(failure))
         return Status.FAILURE

@@ -120,6 +120,7 @@ class SegmentRoom(StageLeaf):
             "cycle": survey.cycle_number(room_id),
             "seed": survey.building.room(room_id).seed,
             "scans": poses(survey.scans_near(room_id)),
+            "doors": [edge.door for edge in survey.building.doors],
             "others": [shape.contour for other, shape in survey.shapes.items() if other != room_id],
             "previous": survey.shapes.get(room_id),
         }

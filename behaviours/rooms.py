@@ -91,12 +91,13 @@ class ChooseDoor(Leaf):
             raise FailureError("MAX_ROOMS", f"{len(survey.building.rooms)} rooms, the most this mission may have")
         edge = survey.building.next_door(survey.position, self.read(Key.ROOM))
         if edge is None:
-            raise FailureError("NO_DOOR_LEFT", "no unexplored door is left")
+            return self.decline(Failure("NO_DOOR_LEFT", "no unexplored door is left"))
         survey, goal_id = survey.next_goal()
-        pose = plan.door_pose(survey.building.door_from_known_side(edge.id))
+        # Any heading will do: past a leaf that stands half open the base must turn a little.
+        x, y, _ = plan.door_pose(survey.building.door_from_known_side(edge.id))
         self.write(Key.SURVEY, survey)
         self.write(Key.DOOR, edge.id)
-        self.write(Key.TARGET, Target(goal_id, *pose, "door"))
+        self.write(Key.TARGET, Target(goal_id, x, y, None, "door"))
         self.say(f"{edge.id}, {edge.door.net_width:.2f} m wide, at ({edge.door.x:.1f}, {edge.door.y:.1f})")
         return Status.SUCCESS
 

@@ -70,7 +70,7 @@ def _read(path: Path, scan_id: str) -> Recorded:
 def _read_cloud(path: Path) -> NDArray[np.float64]:
     import open3d as o3d
 
-    points = np.asarray(o3d.io.read_point_cloud(str(path)).points)
+    points = np.asarray(o3d.io.read_point_cloud(path).points)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
         raise ValueError("expected points, found none")
@@ -91,10 +91,8 @@ def _read_3dtk_pose(path: Path) -> Matrix | None:
     values = np.loadtxt(path).ravel()
     if values.shape != (6,):
         raise ValueError(f"{path}: expected 6 numbers, found {len(values)}")
-    x, y, z = (
-        transforms.from_euler(*(angle * unit))[:3, :3]
-        for angle, unit in zip(np.deg2rad(values[3:]), np.eye(3), strict=True)
-    )
+    angles = np.diag(np.deg2rad(values[3:]))
+    x, y, z = (transforms.from_euler(*angle)[:3, :3] for angle in angles)
     pose = np.eye(4)
     change = _RIGHT_FROM_LEFT_HANDED
     pose[:3, :3] = change @ (x @ y @ z) @ change.T

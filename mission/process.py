@@ -13,16 +13,20 @@ from mission import stages
 from mission.clock import MissionClock
 from mission.finish import finish
 from mission.journal import JsonLines
+from mission.stages.library import Library
 from mission.store import RunFolder
 from perception import transforms
 from perception.failure import Failure, FailureError
 from perception.findings import Alignment, Registration, RoomShape
 from perception.transforms import Matrix
+from perception.validation import Limits
 
 ROOM = "R1"
 _UNKNOWN_GUESS = (1.0, math.radians(20.0))
 _GIVEN_GUESS = (0.15, math.radians(3.0))
 _SEARCH = (3.0, math.pi)
+_ANY_SCANNER = Limits(bad_share=0.05, return_share=0.01, empty_sector=2 * math.pi)
+"""Somebody else's scanner may look to one side only, and its beams are known by direction alone."""
 
 
 def process_folder(folder: Path, out: Path) -> dict[str, Any]:
@@ -49,6 +53,7 @@ class _Processing:
 
     def __init__(self, run: RunFolder, journal: JsonLines) -> None:
         self._run = run
+        self._library = Library(run, _ANY_SCANNER)
         self._journal = journal
         self._placed: list[tuple[str, list[list[float]]]] = []
         self._given: dict[str, Matrix] = {}
@@ -127,7 +132,7 @@ class _Processing:
     def _shape_room(self) -> None:
         seed = tuple(np.asarray(self._placed[0][1])[:2, 3])
         shape: RoomShape = self._stage(
-            "segment_room", room_id=ROOM, cycle=1, seed=seed, scans=self._placed, others=[], previous=None
+            "segment_room", room_id=ROOM, cycle=1, seed=seed, scans=self._placed, doors=[], others=[], previous=None
         )
         self.room |= {
             "contour": shape.contour.tolist(),
@@ -170,7 +175,7 @@ class _Processing:
         began = time.perf_counter()
         failure: Failure | None = None
         try:
-            return stages.run(self._run.path, name, arguments)
+            return stages.run(self._library, name, arguments)
         except FailureError as error:
             failure = error.failure
             raise

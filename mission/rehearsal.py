@@ -9,12 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.simulated.world import save_world
-from drivers.simulated.worlds import load_world
 from drivers.wire.endpoints import Endpoints
 from mission.config import SiteConfig, parse_config
-from mission.evaluation import evaluate_run
-from mission.finish import finish
 from mission.run import Display, Summary, UnreachableError, run_mission
 from mission.store import RunFolder, write_text
 
@@ -50,6 +46,10 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
         ConfigError: when an override breaks a rule.
         UnreachableError: when an agent does not come up.
     """
+    # The simulation and the deliveries load much that must stay out of the process that ticks until it is needed.
+    from drivers.simulated.world import save_world
+    from drivers.simulated.worlds import load_world
+
     # Checked before anything is started: a wrong override must not cost a building.
     configure(plan, Endpoints(_ANY_PORT), Endpoints(_ANY_PORT))
     world = load_world(plan.world, plan.seed, **plan.options)
@@ -60,6 +60,9 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
     write_text(folder.simulation / "rehearsal.json", json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
     with agents(plan, world_file, folder.simulation) as (scanner, base):
         summary = run_mission(configure(plan, scanner, base), folder, display)
+    from mission.evaluation import evaluate_run
+    from mission.finish import finish
+
     evaluate_run(folder.path)
     finish(folder)
     return summary

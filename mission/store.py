@@ -86,7 +86,8 @@ def write_arrays(path: Path, **arrays: object) -> None:
     """Write an ``.npz`` of plain arrays, whole or not at all."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as stream:
-        np.savez_compressed(stream, **{name: np.asarray(value) for name, value in arrays.items()})
+        values: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
+        np.savez_compressed(stream, **values)
         stream.flush()
         os.fsync(stream.fileno())
     partial.replace(path)

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from perception.failure import FailureError
-from perception.findings import Polygon, RoomShape
+from perception.findings import Door, Polygon, RoomShape
 from perception.polar import crossed_between
 from perception.segmentation import Levels, floor_and_ceiling, one_per_voxel
 from perception.walls import Views, fit_walls
@@ -27,11 +28,14 @@ NECK = 0.30
 """Half of the widest passage at ceiling height that still separates two rooms, metres."""
 LINTEL_SPAN = 2.6
 """A longer lintel with nothing but air below it is a beam, metres."""
+SEED_REACH = 1.5
+"""The room's segment is this near to the seed, metres; right around the scanner its ceiling is not seen."""
 DOOR_HEIGHT = 2.1
 """Above it the wall over a door is closed, metres over the floor."""
 _SLICE = 0.10
 _OVERHEAD = np.deg2rad(60.0)
 _AZIMUTH = np.deg2rad(0.5)
+_DIRECTIONS = 720
 
 
 @dataclass(frozen=True)
@@ -73,18 +77,19 @@ def room_shape(
     seed: tuple[float, float],
     stations: NDArray[np.floating] | None = None,
     station_of: NDArray[np.integer] | None = None,
+    doors: Sequence[Door] = (),
     others: Sequence[Polygon] = (),
     previous: RoomShape | None = None,
 ) -> RoomShape:
     """Contour ``H`` and walls of the room that holds ``seed``, from all points registered so far (section 3.1).
 
-    The ceiling image is labelled and the segment nearest to the seed (or that overlaps ``previous`` most) is the room.
+    The ceiling image is labelled and the segment nearest to the seed (else that overlaps ``previous`` most) is it.
     A pixel whose column is filled between door height and ceiling is a barrier, so that rooms never merge over a door:
-    the wall above it closes the gap. Over free floor a
-    barrier that is longer than any door, or that beams passed beneath on their way to the ceiling, is a beam and none. Where
-    there is no ceiling, a pixel belongs to the room if beams crossed it above door height (needs ``stations``), or
-    else if its floor was seen. The segment's outline becomes straight segments, each of which is moved to the outer
-    significant peak of its d-histogram; segments with no wall behind them end where sight ended and H grows later.
+    the wall above it closes the gap. Over free floor a barrier that is longer than any door, or that beams passed
+    beneath on their way to the ceiling, is a beam and none. Where there is no ceiling, a pixel belongs to the room if
+    beams crossed it above door height (needs ``stations``), or else if its floor was seen. The segment's outline
+    becomes straight segments, each of which is moved to the outer significant peak of its d-histogram; segments with
+    no wall behind them end where sight ended and H grows later.
 
     Args:
         points: ``(N, 3)``, map frame, metres.
@@ -92,8 +97,10 @@ def room_shape(
         seed: (x, y) in the room meant, map frame.
         stations: ``(S, 3)`` positions of the scanner, map frame; the disc of ceiling that each cannot see is filled.
         station_of: ``(N,)`` row of ``stations`` that each point was seen from; tells the two faces of a wall apart.
+        doors: known doors of the building; a scanner under a door sees neither its lintel nor the wall beside it, so
+            the wall there is drawn in.
         others: contours of rooms already known, which this one may not enter.
-        previous: this room's shape one cycle before.
+        previous: this room's shape one cycle before; decides where the seed's surroundings are not seen.
 
     Raises:
         FailureError: ``CONTOUR_NOT_FOUND`` if there is no ceiling (or free space) within 1.5 m of the seed.
@@ -104,7 +111,7 @@ def room_shape(
     views = Views(points[chosen].astype(float), stations, None if station_of is None else station_of[chosen])
     volume = _volume(views.points, levels)
     skimmed = _skimmed(volume, views, levels)
-    barrier = _barriers(volume, levels, skimmed)
+    barrier = _barriers(volume, levels, skimmed) | _drawn_doors(volume, doors)
     covered = _covered(volume, views, levels, barrier) | skimmed
     for polygon in others:
         barrier |= _drawn(volume, np.asarray(shapely.Polygon(polygon).buffer(-CELL).exterior.coords))
@@ -160,6 +167,17 @@ def _barriers(volume: _Volume, levels: Levels, skimmed: Image) -> Image:
     return closed & ~(lintel & (skimmed | _longer_than(lintel, LINTEL_SPAN)))
 
 
+def _drawn_doors(volume: _Volume, doors: Sequence[Door]) -> Image:
+    """The wall at each door, a metre further on both sides than the opening."""
+    image = np.zeros(volume.shape, np.uint8)
+    for door in doors:
+        half = (door.width / 2 + 1.0) * np.array([-door.normal[1], door.normal[0]])
+        ends = volume.pixels(np.stack([np.array([door.x, door.y]) - half, np.array([door.x, door.y]) + half]))
+        first, last = ((int(column), int(row)) for row, column in ends)
+        cv2.line(image, first, last, 1, thickness=max(2, round(door.thickness / CELL)))
+    return image > 0
+
+
 def _main_ceiling(volume: _Volume, levels: Levels) -> float:
     """Height up to which walls are filled: of several ceilings the widest, for a lowered part has a face above it."""
     if levels.ceiling is not None:
@@ -182,10 +200,21 @@ def _covered(volume: _Volume, views: Views, levels: Levels, barrier: Image) -> I
     if not levels.ceilings:
         return _crossed(volume, views, levels)
     image = volume.any(DOOR_HEIGHT, np.inf)
-    for station in [] if views.stations is None else views.stations:
-        blind = (levels.ceilings[-1].peak - station[2]) / np.tan(_OVERHEAD)
-        image |= _line_of_sight(volume, barrier, station, blind + 2 * CELL)
+    for index, station in enumerate([] if views.stations is None else views.stations):
+        blind = (levels.ceilings[-1].peak - station[2]) / np.tan(_OVERHEAD) + 2 * CELL
+        own = views.points if views.station_of is None else views.points[views.station_of == index]
+        image |= _line_of_sight(volume, barrier, station, np.minimum(blind, _furthest(own, station)))
     return image
+
+
+def _furthest(points: NDArray[np.floating], station: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Distance of the furthest point in each of 720 directions; 0 where a wall nearer than the minimum range is."""
+    offset = points[:, :2] - station[:2]
+    sector = np.floor((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1.0) * _DIRECTIONS).astype(int)
+    furthest = np.zeros(_DIRECTIONS)
+    np.maximum.at(furthest, sector % _DIRECTIONS, np.hypot(offset[:, 0], offset[:, 1]))
+    # The beams of a coarse scan leave directions empty between them.
+    return maximum_filter1d(furthest, 5, mode="wrap")
 
 
 def _skimmed(volume: _Volume, views: Views, levels: Levels) -> Image:
@@ -207,10 +236,12 @@ def _skimmed(volume: _Volume, views: Views, levels: Levels) -> Image:
     return image
 
 
-def _line_of_sight(volume: _Volume, barrier: Image, station: NDArray[np.floating], radius: float) -> Image:
-    """Pixels within ``radius`` of the station that no barrier hides from it."""
-    angles = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
-    radii = np.arange(0.0, max(radius, CELL), CELL / 2)
+def _line_of_sight(
+    volume: _Volume, barrier: Image, station: NDArray[np.floating], reach: NDArray[np.floating]
+) -> Image:
+    """Pixels within ``reach`` (by direction) of the station that no barrier hides from it."""
+    angles = (np.arange(_DIRECTIONS) + 0.5) * (2 * np.pi / _DIRECTIONS)
+    radii = np.arange(0.0, max(float(reach.max()), CELL), CELL / 2)
     x = station[0] + radii[:, None] * np.cos(angles)
     y = station[1] + radii[:, None] * np.sin(angles)
     pixels = volume.pixels(np.stack([x.ravel(), y.ravel()], axis=1))
@@ -218,7 +249,7 @@ def _line_of_sight(volume: _Volume, barrier: Image, station: NDArray[np.floating
     blocked = np.ones(len(pixels), bool)
     blocked[inside] = barrier[pixels[inside, 0], pixels[inside, 1]]
     # A station under a door has the lintel above it, not in its way.
-    blocked = blocked.reshape(x.shape) & (radii[:, None] > 0.25)
+    blocked = (blocked.reshape(x.shape) & (radii[:, None] > 0.25)) | (radii[:, None] > reach)
     visible = ~np.logical_or.accumulate(blocked, axis=0).ravel() & inside
     image = np.zeros(volume.shape, bool)
     image[pixels[visible, 0], pixels[visible, 1]] = True
@@ -234,11 +265,8 @@ def _crossed(volume: _Volume, views: Views, levels: Levels) -> Image:
         image[row, column] = 1
         return image > 0
     for index, station in enumerate(views.stations):
-        hits = views.points[(views.station_of == index) & (height > DOOR_HEIGHT), :2] - station[:2]
-        sector = np.floor((np.arctan2(hits[:, 1], hits[:, 0]) / (2 * np.pi) % 1.0) * 720).astype(int)
-        furthest = np.zeros(720)
-        np.maximum.at(furthest, sector, np.hypot(hits[:, 0], hits[:, 1]))
-        angles = (np.arange(720) + 0.5) * (np.pi / 360)
+        furthest = _furthest(views.points[(views.station_of == index) & (height > DOOR_HEIGHT)], station)
+        angles = (np.arange(_DIRECTIONS) + 0.5) * (2 * np.pi / _DIRECTIONS)
         ring = station[:2] + furthest[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         cv2.fillPoly(image, [volume.pixels(ring)[:, ::-1].astype(np.int32)], 1)
     return image > 0
@@ -261,22 +289,21 @@ def _segment(
 def _label_of_room(
     volume: _Volume, labels: NDArray[np.int32], count: int, seed: NDArray[np.floating], previous: RoomShape | None
 ) -> int:
-    if previous is not None:
-        inside = labels[_drawn(volume, previous.contour)]
-        votes = np.bincount(inside[inside > 0], minlength=1)
-        if votes.any():
-            return int(votes.argmax())
     pixels = np.argwhere(labels > 0)
     distance = np.hypot(*(pixels - volume.pixels(seed[None])[0]).T) * CELL if len(pixels) else np.array([np.inf])
     nearest = int(distance.argmin())
-    if distance[nearest] > 1.5:
-        raise FailureError(
-            "CONTOUR_NOT_FOUND",
-            f"no ceiling within 1.5 m of ({seed[0]:.2f}, {seed[1]:.2f})",
-            nearest_m=float(distance[nearest]),
-            segments=count - 1,
-        )
-    return int(labels[tuple(pixels[nearest])])
+    if distance[nearest] <= SEED_REACH:
+        return int(labels[tuple(pixels[nearest])])
+    inside = labels[_drawn(volume, previous.contour)] if previous is not None else np.zeros(0, np.int32)
+    votes = np.bincount(inside[inside > 0], minlength=1)
+    if votes.any():
+        return int(votes.argmax())
+    raise FailureError(
+        "CONTOUR_NOT_FOUND",
+        f"no ceiling within {SEED_REACH} m of ({seed[0]:.2f}, {seed[1]:.2f})",
+        nearest_m=float(distance[nearest]),
+        segments=count - 1,
+    )
 
 
 def _filled(mask: Image, allowed: Image) -> Image:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from perception import transforms
 from perception.building import before, beyond, door_pose
 from perception.findings import Door, DoorFindings, RoomShape
+from perception.passage import passage
 from perception.scan import Scan
 from perception.transforms import Matrix
 from perception.wall_evidence import CELL, Beam, Evidence, Wall, gather, local_points, walls_of
@@ -43,9 +44,10 @@ class DoorGates:
     lintel: float = 0.5
     floor_step: float = 0.03
     free_depth: float = 0.8
-    min_depth_width: float = 0.5
     min_deep_view: float = 0.25
-    reach: float = 0.45
+    cupboard: float = 0.75
+    leaf_reach: float = 1.3
+    min_leaf_cells: int = 20
     mirrored: float = 0.6
     glass: float = 0.4
 
@@ -89,7 +91,7 @@ def find_doors(
     Args:
         shape: contour, floor, ceiling and walls of the room; the walls may be 10 cm off.
         scans: every scan near the room with its ``map_from_scanner``; evidence adds up over them.
-        robot_width: metres that the gap must leave; a narrower one is refused as ``narrow``.
+        robot_width: metres that an opened leaf must leave; a narrower door is refused as ``narrow``.
 
     Returns:
         The doors, and the door-like holes that failed, each with the name of the gate.
@@ -182,9 +184,9 @@ def _jamb(on_wall: NDArray[np.float32], edge: float, side: float) -> float:
 def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Door, str | None]:
     """The opening as a door, and the first gate that it fails."""
     wall = opening.wall
-    left, right = _net_interval(opening, -gates.reach, gates.reach)
     thickness = _thickness(opening)
-    x, y = wall.at((left + right) / 2)
+    way = passage(opening.within(0.08, 1.4)[:, :2], opening.left, opening.right, thickness)
+    x, y = wall.at(way.centre)
     rows = slice(_LOW, min(_TOP, round(opening.height / CELL)))
     inner_rows = slice(rows.start + 1, rows.stop - 2)
     fill = opening.evidence.share((opening.columns, rows), Beam.OPEN)
@@ -193,7 +195,7 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
         y=float(y),
         normal=(float(wall.outward[0]), float(wall.outward[1])),
         width=opening.right - opening.left,
-        net_width=right - left,
+        net_width=way.clearance,
         height=opening.height,
         confidence=0.0 if np.isnan(fill) else fill,
         thickness=thickness,
@@ -204,7 +206,7 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
         "sill": _reaches_floor(opening),
         "glass": opening.evidence.echoes((opening.inner_columns, inner_rows)) < gates.glass,
         "fill": door.confidence >= gates.fill,
-        "jambs": all(_jamb_stands(opening, side, gates) for side in (-1, 1)),
+        "jambs": _jambs_stand(opening, gates),
         "floor": _floor_goes_on(opening, gates),
         "depth": _goes_on(opening, gates),
         "mirror": not _is_mirror(opening, gates),
@@ -224,14 +226,20 @@ def _reaches_floor(opening: _Opening) -> bool:
     return bool(share > 0.5)
 
 
-def _jamb_stands(opening: _Opening, side: int, gates: DoorGates) -> bool:
-    """The wall beside the hole is solid where beams tested it, or the hole ends in the room's corner."""
+def _jambs_stand(opening: _Opening, gates: DoorGates) -> bool:
+    """The wall on both sides of the hole is solid; one side may have gone untested, nearer than the minimum range."""
+    solid = [_jamb_solidity(opening, side) for side in (-1, 1)]
+    tested = [share for share in solid if not np.isnan(share)]
+    return bool(tested and min(tested) >= gates.jamb)
+
+
+def _jamb_solidity(opening: _Opening, side: int) -> float:
+    """Share of the wall beside the hole that threw beams back; 1 in the room's corner, NaN where no beam tested it."""
     columns = opening.columns
     near = slice(columns.start - 4, columns.start - 1) if side < 0 else slice(columns.stop + 1, columns.stop + 4)
     if near.start < 0 or near.stop > opening.evidence.counts.shape[1]:
-        return True
-    whole = opening.evidence.share((near, slice(_LOW, None)), Beam.SOLID)
-    return bool(whole >= gates.jamb)
+        return 1.0
+    return opening.evidence.share((near, slice(_LOW, None)), Beam.SOLID)
 
 
 def _floor_goes_on(opening: _Opening, gates: DoorGates) -> bool:
@@ -242,19 +250,6 @@ def _floor_goes_on(opening: _Opening, gates: DoorGates) -> bool:
     commonest = int(np.argmax(levels))
     # The commonest height, because the feet of leaves and walls stand on the floor too but spread over all heights.
     return bool(levels[commonest] >= 5 and abs(edges[commonest] + 0.01) <= gates.floor_step)
-
-
-def _net_interval(opening: _Opening, front: float, back: float) -> tuple[float, float]:
-    """Widest part of the hole with nothing in the way between two depths, at the robot's heights."""
-    near = opening.within(0.08, 1.4)
-    near = near[(near[:, 1] > front) & (near[:, 1] < back)]
-    near = near[(near[:, 0] > opening.left + 0.02) & (near[:, 0] < opening.right - 0.02)]
-    # A stray or mixed point is not an obstacle: it takes three points within 4 cm.
-    u = np.sort(near[:, 0])
-    dense = u[2:][u[2:] - u[:-2] < 0.04] if len(u) > 2 else u[:0]
-    edges = np.concatenate([[opening.left], dense, [opening.right]])
-    widest = int(np.argmax(np.diff(edges)))
-    return float(edges[widest]), float(edges[widest + 1])
 
 
 def _thickness(opening: _Opening) -> float:
@@ -271,12 +266,15 @@ def _thickness(opening: _Opening) -> float:
 
 
 def _goes_on(opening: _Opening, gates: DoorGates) -> bool:
-    """There is room to stand behind the hole, and beams went deeper than a cupboard's back."""
-    left, right = _net_interval(opening, 0.0, gates.free_depth)
+    """Something was seen deeper than a cupboard's back: beams that went on, or an opened leaf that reaches there."""
     aside = round(gates.free_depth / CELL)
     columns = slice(max(0, opening.columns.start - aside), opening.columns.stop + aside)
     passed = np.any(opening.deeper.decided[columns, _LOW:_TOP] == Beam.OPEN, axis=1)
-    return bool(right - left >= gates.min_depth_width and np.count_nonzero(passed) * CELL >= gates.min_deep_view)
+    if np.count_nonzero(passed) * CELL >= gates.min_deep_view:
+        return True
+    deep = opening.within(0.15, 1.85, opening.left, opening.right)
+    deep = deep[(deep[:, 1] > gates.cupboard) & (deep[:, 1] < gates.leaf_reach)]
+    return len(np.unique(np.floor(deep[:, [0, 2]] / CELL), axis=0)) >= gates.min_leaf_cells
 
 
 def _is_mirror(opening: _Opening, gates: DoorGates) -> bool:

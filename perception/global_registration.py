@@ -82,8 +82,8 @@ def _hypotheses(source: Surfels, reference: Surfels, near: Matrix, radius: float
     """The best peaks of the correlation over yaw, x and y, as ``map_from_scanner``."""
     level = near.copy()
     level[:2, 3] = 0.0
-    upright = _searchable(source.moved(level), np.zeros(2), level[2, 3])
-    model = _searchable(reference, near[:2, 3], level[2, 3])
+    upright = _searchable(source.moved(level), np.zeros(2))
+    model = _searchable(reference, near[:2, 3])
     if len(upright) < 20 or len(model) < 20:
         return []
     upright = upright.pick(np.random.default_rng(0).permutation(len(upright))[:_SAMPLES])
@@ -96,7 +96,7 @@ def _hypotheses(source: Surfels, reference: Surfels, near: Matrix, radius: float
     return [_pose(level, yaws[k], near[:2, 3] + (np.array([i, j]) - reach) * _CELL) for k, i, j in peaks]
 
 
-def _searchable(surfels: Surfels, centre: NDArray[np.float64], height: float) -> Surfels:
+def _searchable(surfels: Surfels, centre: NDArray[np.float64]) -> Surfels:
     """Surfels that change when the scan is shifted or turned: all but the floor and the ceiling, and in reach."""
     near = np.abs(surfels.points[:, :2] - centre).max(axis=1) < _REACH
     return surfels.pick(near & (np.abs(surfels.normals[:, 2]) < 0.5))

@@ -33,6 +33,8 @@ class Level:
 
 LEVELS = (Level(0.5, 2000, 25), Level(0.2, 3000, 20), Level(0.08, 5000, 15), Level(0.03, 10000, 12))
 
+_OFFSET_DAMPING = 1e-3
+
 
 @dataclass(frozen=True)
 class RegistrationLimits:
@@ -56,6 +58,10 @@ class RegistrationLimits:
     sigmas: float = 3.0
     slack_m: float = 0.10
     slack_rad: float = float(np.deg2rad(1.5))
+
+
+NEAR_ODOMETRY = RegistrationLimits(max_conflict=0.06)
+"""Where the guess is odometry's and the correction must agree with it, a mirror's ghosts need not refuse a scan."""
 
 
 class Reference:
@@ -101,8 +107,7 @@ def reference_from(
         near: (x, y) in the map frame to keep the surroundings of, or None for everything.
         radius: metres around ``near``.
     """
-    moved = [surface.surfels.moved(pose) for surface, pose in scans]
-    surfels = Surfels(np.concatenate([m.points for m in moved]), np.concatenate([m.normals for m in moved]))
+    surfels = Surfels.joined([surface.surfels.moved(pose) for surface, pose in scans])
     views = list(scans)
     if near is not None:
         surfels = surfels.pick(np.hypot(*(surfels.points[:, :2] - near).T) <= radius)
@@ -166,49 +171,65 @@ def _descend(shuffled: Surfels, reference: Reference, guess: Matrix, levels: Seq
     return pose
 
 
-def _residuals(
-    source: Surfels, reference: Reference, distance: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Paired source index, point-to-plane residual, partner normals and the offset along the surface."""
+@dataclass(frozen=True)
+class _Pairs:
+    """Paired surfels: source positions, partners' normals, distance along and off the normal, difference of slants."""
+
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    asides: NDArray[np.float64]
+    slants: NDArray[np.float64]
+
+
+def _pair(source: Surfels, reference: Reference, distance: float) -> _Pairs:
     found, partner = reference.pairs(source, distance)
-    offset = (source.points[found] - reference.surfels.points[partner]).astype(np.float64)
+    positions = source.points[found].astype(np.float64)
     normals = reference.surfels.normals[partner].astype(np.float64)
-    residual = np.einsum("ij,ij->i", offset, normals)
-    along = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - residual**2, 0.0))
-    return found, residual, normals, along
+    offset = positions - reference.surfels.points[partner]
+    residuals = np.einsum("ij,ij->i", offset, normals)
+    asides = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - residuals**2, 0.0))
+    slants = source.slants[found].astype(np.float64) - reference.surfels.slants[partner]
+    return _Pairs(positions, normals, residuals, asides, slants)
 
 
 def _gauss_newton_step(moved: Surfels, reference: Reference, distance: float, pivot: NDArray[np.float64]) -> Matrix:
-    """The small rigid motion of the source that lessens the weighted point-to-plane distances."""
-    found, residual, normals, _ = _residuals(moved, reference, distance)
-    if len(found) < 12:
+    """The small rigid motion of the source that lessens the weighted point-to-plane distances.
+
+    The last steps also solve for the range offset of the instrument, a seventh unknown: a scanner that measures 5 mm
+    too long sees a wall 5 mm too far head-on but less so from aside, which would bend a chain of poses.
+    """
+    pairs = _pair(moved, reference, distance)
+    count = len(pairs.residuals)
+    if count < 12:
         return np.eye(4)
-    weight = np.where(np.abs(residual) < distance, (1 - (residual / distance) ** 2) ** 2, 0.0)
-    arm = moved.points[found].astype(np.float64) - pivot
-    jacobian = np.hstack([np.cross(arm, normals), normals])
+    weight = np.where(np.abs(pairs.residuals) < distance, (1 - (pairs.residuals / distance) ** 2) ** 2, 0.0)
+    arm = pairs.positions - pivot
+    jacobian = np.hstack([np.cross(arm, pairs.normals), pairs.normals, pairs.slants[:, None]])
     information = jacobian.T @ (weight[:, None] * jacobian)
     # The tiny damping keeps an unheld direction where odometry put it instead of letting rounding drive it.
-    information += 1e-4 * len(found) * np.eye(6)
-    update = -np.linalg.solve(information, jacobian.T @ (weight * residual))
+    offset_damping = _OFFSET_DAMPING if distance <= LEVELS[2].distance else 1e6
+    information += count * np.diag([1e-4] * 6 + [offset_damping])
+    update = -np.linalg.solve(information, jacobian.T @ (weight * pairs.residuals))
     step = np.eye(4)
     step[:3, :3] = Rotation.from_rotvec(update[:3]).as_matrix()
-    step[:3, 3] = update[3:] + pivot - step[:3, :3] @ pivot
+    step[:3, 3] = update[3:6] + pivot - step[:3, :3] @ pivot
     return step
 
 
 def _assess(source: Surface, reference: Reference, guess: Matrix, pose: Matrix, method: str) -> Registration:
-    _, residual, normals, along = _residuals(source.surfels.moved(pose), reference, 0.10)
-    on_surface = along < 0.10
-    close = on_surface & (np.abs(residual) < LEVELS[-1].distance)
+    pairs = _pair(source.surfels.moved(pose), reference, 0.10)
+    on_surface = (pairs.asides < 0.10) & (np.abs(pairs.residuals) < 0.10)
+    close = on_surface & (np.abs(pairs.residuals) < LEVELS[-1].distance)
     count = int(np.count_nonzero(close))
-    held = normals[close]
+    held = pairs.normals[close]
     values, axes = np.linalg.eigh(held.T @ held / max(count, 1))
     correction_m, correction_rad = transforms.difference(guess, pose)
     return Registration(
         map_from_scanner=pose,
         fitness=count / len(source.surfels),
-        rmse=float(np.sqrt(np.mean(residual[close] ** 2))) if count else float("inf"),
-        overlap=float(np.count_nonzero(on_surface & (np.abs(residual) < 0.10)) / len(source.surfels)),
+        rmse=float(np.sqrt(np.mean(pairs.residuals[close] ** 2))) if count else float("inf"),
+        overlap=float(np.count_nonzero(on_surface) / len(source.surfels)),
         min_eigenvalue=float(values[0]),
         weak_axis=(float(axes[0, 0]), float(axes[1, 0]), float(axes[2, 0])),
         correction_m=correction_m,

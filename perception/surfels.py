@@ -1,5 +1,6 @@
 """What registration keeps of a scan: small oriented planes to pair, and how far it saw in each direction to object."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ _NEIGHBOURS = 14
 _MAX_ROUGHNESS = 0.008
 _MIN_WIDTH_RATIO = 0.12
 _VIEW_COLUMNS, _VIEW_ROWS = 360, 180
+_SEEN_THROUGH = 0.4
 
 
 @dataclass(frozen=True)
@@ -28,22 +30,30 @@ class Surfels:
         points: ``(N, 3)`` float32, metres.
         normals: ``(N, 3)`` float32, unit length, towards the scanner that saw them: the two faces of a thin wall
             are told apart by nothing else.
+        slants: ``(N,)`` float32, cosine between the normal and the beam that saw it, -1 head-on to 0 grazing: a range
+            that is wrong by b moves the surface by b times this along the normal.
     """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
+    slants: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.points)
 
+    @classmethod
+    def joined(cls, parts: "Sequence[Surfels]") -> "Surfels":
+        """All of several, in their order."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+
     def moved(self, target_from_source: Matrix) -> "Surfels":
         """The same surfels in another frame."""
         rotation = target_from_source[:3, :3].astype(np.float32)
-        return Surfels(transforms.apply(target_from_source, self.points), self.normals @ rotation.T)
+        return Surfels(transforms.apply(target_from_source, self.points), self.normals @ rotation.T, self.slants)
 
     def pick(self, index: NDArray | slice) -> "Surfels":
         """The surfels of an index, mask or slice."""
-        return Surfels(self.points[index], self.normals[index])
+        return Surfels(self.points[index], self.normals[index], self.slants[index])
 
 
 @dataclass(frozen=True)
@@ -79,20 +89,22 @@ def surface_of(points: NDArray[np.floating], spacing: float = SPACING) -> Surfac
 
     Each surfel is the plane of its nearest neighbours among 3 cm voxel means. Means lie on the surface wherever it is
     flat; where it is not (corners, edges, mixed pixels, scan lines too far apart to span a plane) the surfel is left
-    out, so that averaging never biases a surface.
+    out, so that averaging never biases a surface. Panes are left out as well: what the scan itself saw through is
+    there for one station and not for the next.
 
     Args:
         points: ``(N, 3)`` in the scanner's frame (the scanner at the origin), metres; non-finite rows are ignored.
         spacing: side of the voxels that keep one surfel each, metres.
     """
     finite = points[np.isfinite(points).all(axis=1)].astype(np.float32, copy=False)
-    return Surface(_surfels(finite, spacing), _sight(finite))
+    surfels = _surfels(finite, spacing)
+    return Surface(surfels.pick(~_transparent(surfels, finite)), _sight(finite))
 
 
 def _surfels(points: NDArray[np.float32], spacing: float) -> Surfels:
     grains = _voxel_means(points, _GRAIN)
     if len(grains) < _NEIGHBOURS:
-        return Surfels(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32))
+        return Surfels(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32))
     centres = grains[first_per_voxel(grains, spacing)]
     _, index = cKDTree(grains, balanced_tree=False, compact_nodes=False).query(centres, _NEIGHBOURS, workers=2)
     neighbours = grains[index]
@@ -104,7 +116,22 @@ def _surfels(points: NDArray[np.float32], spacing: float) -> Surfels:
     normals = axes[:, :, 0].astype(np.float32)
     on_plane = centres - np.einsum("ij,ij->i", centres - middle, normals)[:, None] * normals
     normals[np.einsum("ij,ij->i", on_plane, normals) > 0] *= -1
-    return Surfels(on_plane[flat], normals[flat])
+    slants = np.einsum("ij,ij->i", on_plane, normals) / np.maximum(np.linalg.norm(on_plane, axis=1), 1e-6)
+    return Surfels(on_plane[flat], normals[flat], slants[flat])
+
+
+def _transparent(surfels: Surfels, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Surfels in whose direction a good part of the beams went on, well behind them: a pane, or an edge."""
+    distance = np.linalg.norm(points, axis=1)
+    cell = np.ravel_multi_index(_view_cells(points, distance), (_VIEW_ROWS, _VIEW_COLUMNS))
+    order = np.lexsort((distance, cell))
+    bounds = np.searchsorted(cell[order], np.arange(_VIEW_ROWS * _VIEW_COLUMNS + 1))
+    own = np.linalg.norm(surfels.points, axis=1)
+    at = np.ravel_multi_index(_view_cells(surfels.points, own), (_VIEW_ROWS, _VIEW_COLUMNS))
+    first, last = bounds[at], bounds[at + 1]
+    # In a cell ranges are sorted, so the quantile beyond which "a good part" begins is a look-up.
+    index = np.clip(last - 1 - (_SEEN_THROUGH * (last - first)).astype(int), 0, len(points) - 1)
+    return (last > first) & (distance[order][index] > 1.02 * own + 0.10)
 
 
 def _sight(points: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -20,6 +20,8 @@ SHORT = 1.2
 """Sides below this length take the direction of the longest wall, or a right angle to it, if they nearly have it."""
 OUTER_SHARE = 0.25
 """An outer peak is the wall if it holds this share of the highest peak of the d-histogram."""
+NOTCH_DEPTH, NOTCH_WIDTH, NOTCH_SIDES = 0.45, 0.8, 4
+"""A dent in a wall up to this deep and wide (metres, number of sides) is filled."""
 HEIGHT_SHARE = 0.5
 """... and shows in this share of the heights that the fullest peak shows in: full height, not a frame or a sill."""
 CEILING_SHARE = 0.6
@@ -235,29 +237,36 @@ def _fitted(side: Line, xy: NDArray[np.floating]) -> Line:
 
 
 def _simplified(sides: list[Line]) -> list[Line]:
-    """Fewer sides: pieces of one wall joined, corners that the image cut off restored."""
+    """Fewer sides: pieces of one wall joined, notches in it and corners that the image cut off undone."""
     changed = True
     while changed and len(sides) > 3:
         changed = False
         for i in range(len(sides)):
-            before, side, after = sides[i - 1], sides[i], sides[(i + 1) % len(sides)]
-            if _same_line(before, side):
-                sides = _replaced(sides, i, _joined(before, side))
-            elif not side.wall and side.length < 0.7 and _corner_between(before, side, after):
-                sides = [other for j, other in enumerate(sides) if j != i]
-            else:
-                continue
-            changed = True
-            break
+            merged = _merged_ahead(sides[i:] + sides[:i])
+            if merged is not None and len(merged) >= 3:
+                sides, changed = merged, True
+                break
     return sides
 
 
-def _replaced(sides: list[Line], i: int, joined: Line) -> list[Line]:
-    """``joined`` in the place of side ``i`` and the one before it."""
-    kept = list(sides)
-    kept[i] = joined
-    del kept[i - 1 if i else len(kept) - 1]
-    return kept
+def _merged_ahead(sides: list[Line]) -> list[Line] | None:
+    """The sides with the first one joined to one of the next, or with a cut-off corner after it restored."""
+    first, second, third = sides[:3]
+    if _same_line(first, second):
+        return [_joined(first, second), *sides[2:]]
+    if not second.wall and second.length < 0.7 and _is_cut_corner(first, second, third):
+        return [first, *sides[2:]]
+    for skip in range(1, min(NOTCH_SIDES + 1, len(sides) - 2)):
+        beyond = sides[1 + skip]
+        if first.wall and _same_line(first, beyond) and _is_notch(first, sides[1 : 1 + skip], beyond):
+            return [_joined(first, beyond), *sides[2 + skip :]]
+    return None
+
+
+def _is_notch(before: Line, between: list[Line], after: Line) -> bool:
+    """Whether the sides between two pieces of one wall are a small dent: a pipe, the edge of a curtain, noise."""
+    depth = max((abs(float(before.distance(side.end))) for side in between[:-1]), default=0.0)
+    return depth < NOTCH_DEPTH and float(np.linalg.norm(after.start - before.end)) < NOTCH_WIDTH
 
 
 def _same_line(a: Line, b: Line) -> bool:
@@ -270,7 +279,7 @@ def _joined(a: Line, b: Line) -> Line:
     return Line(ruler.foot(a.start), ruler.foot(b.end), a.wall)
 
 
-def _corner_between(before: Line, side: Line, after: Line) -> bool:
+def _is_cut_corner(before: Line, side: Line, after: Line) -> bool:
     """Whether two walls meet near a short side between them, so that it is only the corner cut off."""
     if not (before.wall and after.wall):
         return False
@@ -289,11 +298,20 @@ def _assemble(sides: list[Line], fallback: Vector) -> tuple[Polygon, NDArray[np.
         corners += _joint(side, after)
         spans[(i + 1) % len(sides)][0] = len(corners) - 1
     ring = np.array(corners)
-    polygon = shapely.Polygon(ring) if len(ring) >= 3 else shapely.Polygon()
-    if not polygon.is_valid or abs(polygon.area - shapely.Polygon(fallback).area) > 0.3 * polygon.area + 1.0:
-        return fallback, np.array([[*s.start, *s.end] for s in sides if s.wall]).reshape(-1, 4)
     walls = [[*ring[first], *ring[last]] for side, (first, last) in zip(sides, spans, strict=True) if side.wall]
-    return ring, np.array(walls, float).reshape(-1, 4)
+    return _untangled(ring, fallback), np.array(walls, float).reshape(-1, 4)
+
+
+def _untangled(ring: Vector, fallback: Vector) -> Polygon:
+    """The ring, or the largest loop of one that crosses itself; ``fallback`` if too little of the area is left."""
+    if len(ring) < 3:
+        return fallback
+    polygon = shapely.Polygon(ring)
+    if not polygon.is_valid:
+        polygon = max(shapely.get_parts(polygon.buffer(0)), key=lambda part: part.area, default=shapely.Polygon())
+    if abs(polygon.area - shapely.Polygon(fallback).area) > 0.3 * polygon.area + 1.0:
+        return fallback
+    return np.asarray(shapely.geometry.polygon.orient(polygon).exterior.coords)[:-1]
 
 
 def _joint(side: Line, after: Line) -> list[Vector]:

@@ -25,10 +25,11 @@ def create_root(settings: Settings | None = None) -> Behaviour:
 
 def building(settings: Settings) -> Behaviour:
     """Rooms in the order of the paper: one is finished, then the robot goes under the door to the next."""
+    home = [if_possible("home", go_home())] if settings.building.return_to_start else []
     return steps(
         "building",
         until_failure("every room", steps("room and door", room(settings), next_door(settings))),
-        if_possible("home", go_home()),
+        *home,
         EndMission("end the mission", "finished"),
     )
 

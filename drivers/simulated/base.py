@@ -3,15 +3,12 @@
 import threading
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseInfo, DriveGoal, DriveReport
 from drivers.jobs import Failed, Outcome, Running
 from drivers.simulated.clock import Clock
 from drivers.simulated.drive import Drive
-from drivers.simulated.lidar import Lidar
+from drivers.simulated.lidar import Lidar, Sweep
 from drivers.simulated.localiser import Localiser
 from drivers.simulated.plant import Plant, Stance
 from drivers.simulated.profile import BaseProfile
@@ -33,7 +30,7 @@ class SimulatedBase:
 
     A :class:`~drivers.devices.BaseDevice`. Its time is advanced by :meth:`step`, from :meth:`run` on a clock or by a
     test. Inside, the drive sees odometry and
-    planar scanner only; the true pose leaves this class through :meth:`stance`, for the scanner, and the truth log.
+    sweeps only; the true pose leaves this class through :meth:`stance`, for the scanner, and the truth log.
 
     Args:
         world: where it stands, at ``world.start``.
@@ -56,12 +53,12 @@ class SimulatedBase:
         self._truth = truth or TruthLog()
         self._seed = seed
         self._plant = Plant(world, self._profile, world.start, self._scenario.tracks, seed, self._scenario.base.slip_at)
-        self._lidar = Lidar(Surroundings(world), self._profile.lidar, seed)
+        self._lidar = Lidar(Surroundings(world), self._profile.lidar, self._profile.guard, seed)
         self._localiser: Localiser | None = None
         self._drive: Drive | None = None
         self._outcomes: dict[str, Outcome[DriveReport]] = {}
         self._orders: list[DriveGoal | None] = []
-        self._hits = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
+        self._newest_sweep = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
         self._swept_at = 0.0
         self._stopped = False
         self._lock = threading.Lock()
@@ -120,12 +117,12 @@ class SimulatedBase:
         before = self._plant.odometry.pose
         if self._plant.step(dt):
             self._truth.write("collision", self._plant.time, pose=self._plant.pose)
-        hits = self._sweep()
+        sweep = self._sweep()
         if self._localiser:
             self._localiser.predict(before, self._plant.odometry.pose)
-            if hits is not None and self._plant.moving:
-                self._localiser.correct(hits)
-        self._control(hits)
+            if sweep is not None and self._plant.moving:
+                self._localiser.correct(sweep.plane)
+        self._control(sweep)
         self._stance = self._plant.stance()
         self._newest = self._report()
 
@@ -141,10 +138,10 @@ class SimulatedBase:
                 self._begin(goal)
 
     def _begin(self, goal: DriveGoal) -> None:
-        self._hits = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
+        self._newest_sweep = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
         try:
             self._localiser = self._localised_in(goal)
-            self._drive = Drive(goal, self._localiser, self._profile, self._plant.time, self._hits)
+            self._drive = Drive(goal, self._localiser, self._profile, self._plant.time, self._newest_sweep)
             self._outcomes[goal.goal_id] = self._drive.outcome
         except FailureError as error:
             self._outcomes[goal.goal_id] = Failed(error.failure)
@@ -156,24 +153,19 @@ class SimulatedBase:
             raise FailureError("NAV_STUCK", "the base was never told where it stands", goal_id=goal.goal_id)
         return Localiser(goal.robot_map, self._localiser.pose)
 
-    def _control(self, hits: NDArray[np.float64] | None) -> None:
+    def _control(self, sweep: Sweep | None) -> None:
         """Let the drive command the wheels, unless the red button is pressed."""
         if self._emergency_stop:
             self._plant.brake()
             self._drop("ESTOP", "the emergency stop is pressed")
         if self._drive is None:
-            self._plant.command(0.0, 0.0)
             return
         if isinstance(self._drive.outcome, Running):
-            self._plant.command(*self._drive.step(self._plant.time, hits))
-        elif self._plant.moving:
-            self._plant.command(0.0, 0.0)
-        else:
-            self._end()
-            return
-        # The end is told only at rest: the next thing will be a scan.
+            self._plant.command(*self._drive.step(self._plant.time, sweep))
         if isinstance(self._drive.outcome, Running):
             self._outcomes[self._drive.goal.goal_id] = self._drive.outcome
+        elif not self._plant.moving:
+            self._end()  # told only at rest, for the next thing will be a scan
 
     def _drop(self, code: str, why: str) -> None:
         if self._drive:
@@ -189,14 +181,14 @@ class SimulatedBase:
         self._drive = None
         self._plant.command(0.0, 0.0)
 
-    def _sweep(self) -> NDArray[np.float64] | None:
-        """New points of the planar scanner where a turn is due, which without a drive it never is."""
+    def _sweep(self) -> Sweep | None:
+        """A new sweep where a turn is due, which without a drive it never is."""
         due = self._plant.time - self._swept_at >= self._profile.lidar.interval - 1e-9
         if not due or self._drive is None:
             return None
         self._swept_at = self._plant.time
-        self._hits = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
-        return self._hits
+        self._newest_sweep = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
+        return self._newest_sweep
 
     @property
     def _emergency_stop(self) -> bool:

@@ -6,12 +6,15 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from drivers.simulated.footprint import covers_any
+from drivers.simulated.lidar import Sweep
 from perception.grids import Cell, Grid
 
 _EXPLAINED = 0.12
 _MEMORY_RANGE = 6.0
+_STANDING = 0.3
 _SOFT_HEIGHT, _SOFT_FROM, _SOFT_WIDTH = 3.0, 0.35, 0.15
 _UNKNOWN_COST = 3.0
 
@@ -26,36 +29,56 @@ class Costs:
 
 
 class CostMap:
-    """The robot map and, over it, obstacles that only the planar scanner knows; forgotten where it sees through."""
+    """The robot map and, over it, obstacles that only the base has seen; forgotten where its plane sees through."""
 
-    def __init__(self, robot_map: Grid) -> None:
+    def __init__(self, robot_map: Grid, footprint: tuple[float, float]) -> None:
         self.grid = robot_map
+        self._half = footprint[0] / 2, footprint[1] / 2
         self._fixed = robot_map.data == Cell.OBSTACLE
         self._unknown = robot_map.data == Cell.UNKNOWN
         self._explained = _clearance(self._fixed, robot_map.resolution) < _EXPLAINED
         self._seen = np.zeros(robot_map.shape, np.bool_)
+        self._overhang = np.zeros(robot_map.shape, np.bool_)
 
-    def observe(self, pose: tuple[float, float, float], hits: NDArray[np.float64]) -> None:
-        """Enter points ``(N, 2)`` in base_link seen from a pose in the map.
+    def observe(self, pose: tuple[float, float, float], sweep: Sweep) -> None:
+        """Enter what is seen from a pose in the map.
 
         A hit near an obstacle of the map is that obstacle, a little displaced by the localisation; entering it too
         would make every door narrower by that much.
         """
-        origin = np.asarray(self.grid.origin, float)
-        _observe(self._seen, self._explained, hits, np.asarray(pose), origin, self.grid.resolution, _MEMORY_RANGE)
+        origin, resolution = np.asarray(self.grid.origin, float), self.grid.resolution
+        place = np.asarray(pose)
+        _observe(self._seen, self._explained, sweep.plane, place, origin, resolution, _MEMORY_RANGE, self._half)
+        self._remember_overhangs(pose, sweep)
+
+    def _remember_overhangs(self, pose: tuple[float, float, float], sweep: Sweep) -> None:
+        """Table tops are kept, for beams pass below them; what stands on the floor, like people, is the plane's."""
+        if not len(sweep.overhang):
+            return
+        if len(sweep.plane):
+            hanging = sweep.overhang[cKDTree(sweep.plane).query(sweep.overhang)[0] > _STANDING]
+        else:
+            hanging = sweep.overhang
+        hanging = hanging[(np.abs(hanging) > self._half).any(axis=1)]
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        cells = self.grid.cells_of(hanging @ np.array([[cos, sin], [-sin, cos]]) + pose[:2])
+        rows, columns = cells[self.grid.contains(cells)].T
+        self._overhang[rows, columns] |= ~self._explained[rows, columns]
 
     def forget(self) -> None:
         """Drop all obstacles beyond the robot map."""
         self._seen[:] = False
+        self._overhang[:] = False
 
-    def is_seen_under(self, pose: tuple[float, float, float], half: tuple[float, float]) -> bool:
-        """Whether an obstacle beyond the robot map lies under a rectangle (half length, half width) at a pose."""
+    def is_seen_under(self, pose: tuple[float, float, float]) -> bool:
+        """Whether the footprint at a pose would cover an obstacle that the robot map does not have."""
         x, y = pose[0] - self.grid.origin[0], pose[1] - self.grid.origin[1]
-        return bool(covers_any(self._seen, x, y, pose[2], *half, self.grid.resolution))
+        place = x, y, pose[2], *self._half, self.grid.resolution
+        return bool(covers_any(self._seen, *place) or covers_any(self._overhang, *place))
 
     def costs(self, standing_on: NDArray[np.integer]) -> Costs:
         """Costs for a search; the cells ``(N, 2)`` that the robot stands on are free, whatever the map says."""
-        obstacle = self._fixed | self._seen
+        obstacle = self._fixed | self._seen | self._overhang
         own = standing_on[self.grid.contains(standing_on)]
         obstacle[own[:, 0], own[:, 1]] = False
         clearance = _clearance(obstacle, self.grid.resolution)
@@ -78,6 +101,7 @@ def _observe(
     origin: NDArray[np.float64],
     resolution: float,
     reach: float,
+    half: tuple[float, float],
 ) -> None:
     """Clear the cells along each beam up to a cell before its end, then set the ends."""
     rows, columns = seen.shape
@@ -95,7 +119,11 @@ def _observe(
                 seen[r, c] = False
         c = int(np.floor(x0 + dx * length / resolution))
         r = int(np.floor(y0 + dy * length / resolution))
-        if length < reach and 0 <= r < rows and 0 <= c < columns and not explained[r, c]:
+        if length >= reach or r < 0 or c < 0 or r >= rows or c >= columns or explained[r, c]:
+            continue
+        # A hit just beside the robot may fall into a cell that the robot covers; nothing else can be there.
+        ex, ey = (c + 0.5 - x0) * resolution, (r + 0.5 - y0) * resolution
+        if abs(cos * ex + sin * ey) > half[0] or abs(cos * ey - sin * ex) > half[1]:
             ends[i] = r, c
     for i in range(len(hits)):
         if ends[i, 0] >= 0:

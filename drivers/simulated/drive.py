@@ -3,12 +3,12 @@
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import DriveGoal, DriveReport
 from drivers.jobs import Done, Failed, Outcome, Running
 from drivers.simulated.costmap import CostMap
 from drivers.simulated.follower import Command, Follower
+from drivers.simulated.lidar import Sweep
 from drivers.simulated.localiser import Localiser
 from drivers.simulated.planner import Path, Planner, Pose
 from drivers.simulated.profile import BaseProfile
@@ -36,21 +36,19 @@ class Phase(StrEnum):
 
 
 class Drive:
-    """Knows the goal, the base's own localisation and its planar scanner; never the truth.
+    """Knows the goal, the base's own localisation and its sweeps; never the truth.
 
     Args:
         goal: what was ordered.
         localiser: moved and corrected by its owner.
         now: simulated seconds.
-        resting: the newest points of the planar scanner, ``(N, 2)`` in base_link.
+        resting: the newest sweep.
 
     Raises:
         FailureError: ``NAV_NO_PATH``; nothing was driven.
     """
 
-    def __init__(
-        self, goal: DriveGoal, localiser: Localiser, profile: BaseProfile, now: float, resting: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, goal: DriveGoal, localiser: Localiser, profile: BaseProfile, now: float, resting: Sweep) -> None:
         self.goal = goal
         self.phase = Phase.FOLLOWING
         self.outcome: Outcome[DriveReport] = Running(0.0)
@@ -58,9 +56,9 @@ class Drive:
         self._profile = profile
         self._monitor = SafetyMonitor(profile)
         self._planner = Planner(profile.footprint)
-        self._map = CostMap(goal.robot_map)
+        self._map = CostMap(goal.robot_map, profile.footprint)
         self._map.observe(localiser.pose, resting)
-        self._hits = resting
+        self._sweep = resting
         self._track: list[Pose] = [localiser.pose]
         self._distance = 0.0
         self._last = localiser.pose
@@ -78,12 +76,12 @@ class Drive:
             self.goal.goal_id, transforms.planar(*self._localiser.pose), tuple(self._track), self._distance
         )
 
-    def step(self, now: float, hits: NDArray[np.float64] | None) -> Command:
-        """The command for the wheels at a time; ``hits`` where the planar scanner has swept anew."""
+    def step(self, now: float, sweep: Sweep | None) -> Command:
+        """The command for the wheels at a time; ``sweep`` where there is a new one."""
         self._now = now
-        if hits is not None:
-            self._hits = hits
-            self._map.observe(self._localiser.pose, hits)
+        if sweep is not None:
+            self._sweep = sweep
+            self._map.observe(self._localiser.pose, sweep)
         self._keep_track()
         if self._localiser.lost:
             self._fail("NAV_STUCK", f"localisation lost: position uncertain by {self._localiser.sigma:.2f} m")
@@ -112,10 +110,10 @@ class Drive:
         return self._planner.plan(self._map, self._localiser.pose, (self.goal.x, self.goal.y, self.goal.yaw))
 
     def _follow(self) -> Command:
-        wanted = self._follower.command(self._localiser.pose, self._monitor.space(self._hits))
+        wanted = self._follower.command(self._localiser.pose, self._monitor.space(self._sweep))
         if self._follower.done:
             return self._arrive()
-        allowed = self._monitor.limit(wanted, self._hits)
+        allowed = self._monitor.limit(wanted, self._sweep)
         if self._is_held(allowed) or self._is_way_blocked(every=_LOOK_EVERY):
             self._enter(Phase.WAITING)
             return _REST
@@ -127,10 +125,10 @@ class Drive:
 
     def _wait(self) -> Command:
         """Stand still until the way is free, or patience ends and another way is looked for."""
-        wanted = self._follower.command(self._localiser.pose, self._monitor.space(self._hits))
+        wanted = self._follower.command(self._localiser.pose, self._monitor.space(self._sweep))
         way_blocked = self._is_way_blocked()
         waited = self._now - self._since
-        if waited > _LOOK_EVERY and not way_blocked and self._monitor.limit(wanted, self._hits) != _REST:
+        if waited > _LOOK_EVERY and not way_blocked and self._monitor.limit(wanted, self._sweep) != _REST:
             self._enter(Phase.FOLLOWING)
         elif waited > (_PATIENCE if way_blocked else _SHORT_PATIENCE):
             self._look_for_another_way()
@@ -156,7 +154,7 @@ class Drive:
             self._enter(Phase.FOLLOWING)
 
     def _back_up(self) -> Command:
-        allowed = self._monitor.limit((-_BACK_UP_SPEED, 0.0), self._hits)
+        allowed = self._monitor.limit((-_BACK_UP_SPEED, 0.0), self._sweep)
         gone = np.hypot(*np.subtract(self._localiser.pose[:2], self._backed_from[:2]))
         if gone < _BACK_UP and allowed != _REST and self._now - self._since < _BACK_UP_TIME:
             return allowed
@@ -191,7 +189,7 @@ class Drive:
         if self._now - self._looked < every:
             return False
         self._looked = self._now
-        return self._planner.is_blocked(self._map, self._follower.ahead(_LOOK_AHEAD))
+        return any(self._map.is_seen_under((x, y, yaw)) for x, y, yaw in self._follower.ahead(_LOOK_AHEAD))
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase

@@ -10,7 +10,8 @@ from drivers.simulated.footprint import covers_any
 
 HEADINGS = 32
 TURN_LEFT, TURN_RIGHT, FORWARD, FORWARD_LEFT, FORWARD_RIGHT, BACKWARD = range(6)
-_TURN_COST, _BEND_COST, _BACKWARD_FACTOR, _TIGHT_FACTOR = 0.2, 0.05, 2.0, 5.0
+_TURN_COST, _BEND_COST, _BACKWARD_FACTOR = 0.2, 0.05, 2.0
+_STRAIN_FACTOR = 1.6
 _MAX_OFFSET = 5
 
 
@@ -83,6 +84,25 @@ def footprint_free(
 
 
 @njit(cache=True)
+def _strain(
+    row: int,
+    column: int,
+    angle: float,
+    half: tuple[float, float],
+    margins: NDArray[np.float64],
+    obstacle: NDArray[np.bool_],
+    clearance: NDArray[np.float32],
+    resolution: float,
+) -> float:
+    """What a metre costs more for want of space at a pose; inf where not even the last of the margins fits."""
+    for i in range(len(margins)):
+        length, width = half[0] + margins[i], half[1] + margins[i]
+        if footprint_free(row, column, angle, length, width, obstacle, clearance, resolution):
+            return _STRAIN_FACTOR**i
+    return np.inf
+
+
+@njit(cache=True)
 def search(
     start: tuple[int, int, int],
     goal: tuple[int, int],
@@ -90,7 +110,8 @@ def search(
     angles: NDArray[np.float64],
     stride: NDArray[np.int64],
     half: tuple[float, float],
-    escape: tuple[float, float, float],
+    margins: NDArray[np.float64],
+    escape_radius: float,
     obstacle: NDArray[np.bool_],
     clearance: NDArray[np.float32],
     price: NDArray[np.float32],
@@ -105,15 +126,18 @@ def search(
     Args:
         start: (row, column, heading index).
         goal_heading: heading index to end with, or -1 for any.
-        half: half length and half width to keep clear, metres.
-        escape: radius round the start within which the narrower (half length, half width) that follow will do, for
-            the robot may stand closer to something than it would ever go; such moves are dear.
+        half: half length and half width of the footprint, metres.
+        margins: space round it, metres, from the comfortable one to the one that must be; the fewer of them fit, the
+            dearer.
+        escape_radius: distance from the start within which no margin need fit, for the robot may stand closer to
+            something than it would ever go.
         cost, came: zeros, one per cell and heading; 0 stands for "not reached".
     """
     rows, columns = obstacle.shape
     count = len(angles)
     first = (start[0] * columns + start[1]) * count + start[2]
     cost[first] = 1e-6
+    with_none = np.append(margins, 0.0)
     heap = [(to_go[start[0], start[1]] * np.float32(resolution), first)]
     expansions = 0
     while heap and expansions < max_expansions:
@@ -150,20 +174,16 @@ def search(
                 step = _TURN_COST
             if cost[after] != 0.0 and cost[state] + step >= cost[after]:
                 continue
-            free, tight = True, False
+            strain = 1.0
             for k in range(1, steps + 1):
                 rk = row + int(np.rint((r - row) * k / steps))
                 ck = column + int(np.rint((c - column) * k / steps))
                 angle = angles[h] if 2 * k > steps else angles[heading]
-                if footprint_free(rk, ck, angle, half[0], half[1], obstacle, clearance, resolution):
-                    continue
-                tight = True
-                near = np.hypot(rk - start[0], ck - start[1]) * resolution < escape[0]
-                if not near or not footprint_free(rk, ck, angle, escape[1], escape[2], obstacle, clearance, resolution):
-                    free = False
-                    break
-            total = np.float32(cost[state] + step * (_TIGHT_FACTOR if tight else 1.0))
-            if free and (cost[after] == 0.0 or total < cost[after]):
+                escaping = np.hypot(rk - start[0], ck - start[1]) * resolution < escape_radius
+                tried = with_none if escaping else margins
+                strain = max(strain, _strain(rk, ck, angle, half, tried, obstacle, clearance, resolution))
+            total = np.float32(cost[state] + step * strain)
+            if np.isfinite(strain) and (cost[after] == 0.0 or total < cost[after]):
                 cost[after] = total
                 came[after] = move + 1
                 heapq.heappush(heap, (np.float32(total + to_go[r, c] * resolution), after))

@@ -1,31 +1,75 @@
-"""The base's planar safety scanner."""
+"""What the base sees by itself: a plane just above the floor, and whatever hangs over it close to the robot."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.simulated.bodies import Body
-from drivers.simulated.profile import LidarProfile
+from drivers.simulated.profile import GuardProfile, LidarProfile
 from drivers.simulated.surroundings import Surroundings
+
+Points = NDArray[np.float64]
+"""``(N, 2)`` in base_link, metres."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One turn of both sensors.
+
+    Args:
+        plane: where the planar safety scanner hit something.
+        overhang: where the guard saw something above the floor and below the top of the mast.
+    """
+
+    plane: Points
+    overhang: Points
 
 
 class Lidar:
-    """Sweeps the plane just above the floor. Panes and mirrors count as seen: a safety scanner must stop for both."""
+    """The planar safety scanner and the overhang guard.
 
-    def __init__(self, surroundings: Surroundings, profile: LidarProfile, seed: int) -> None:
+    A table's edge is invisible to the plane, and to a terrestrial scanner that stands within its minimum range of it;
+    hence the guard, the depth cameras that such bases carry. Panes and mirrors count as seen by both: a safety sensor
+    must stop for them.
+    """
+
+    def __init__(self, surroundings: Surroundings, plane: LidarProfile, guard: GuardProfile, seed: int) -> None:
         self._surroundings = surroundings
-        self._profile = profile
+        self._plane, self._guard = plane, guard
         self._rng = np.random.default_rng((seed, 2))
-        angles = np.arange(profile.beams) * (2 * np.pi / profile.beams)
-        self._fan = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        flat = _fan(plane.beams, np.zeros(1), plane.height)
+        down = _fan(guard.columns, np.asarray(guard.slopes), guard.height)
+        self._planar = len(flat)
+        self._rays = np.concatenate([flat, down])
 
-    def sweep(self, x: float, y: float, yaw: float, bodies: tuple[Body, ...]) -> NDArray[np.float64]:
-        """Points ``(N, 2)`` in base_link that returned, from a true pose."""
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        rays = np.zeros((len(self._fan), 6), np.float32)
-        rays[:, :3] = x, y, self._profile.height
-        rays[:, 3] = cos * self._fan[:, 0] - sin * self._fan[:, 1]
-        rays[:, 4] = sin * self._fan[:, 0] + cos * self._fan[:, 1]
-        ranges = self._surroundings.distances(rays, bodies)
-        seen = ranges < self._profile.range_max
-        noisy = ranges[seen] + self._rng.normal(0.0, self._profile.noise_sigma, int(seen.sum()))
-        return self._fan[seen] * noisy[:, None]
+    def sweep(self, x: float, y: float, yaw: float, bodies: tuple[Body, ...]) -> Sweep:
+        """What is seen from a true pose."""
+        exact = self._surroundings.distances(_placed(self._rays, x, y, yaw), bodies)
+        ranges = exact + self._rng.normal(0.0, self._plane.noise_sigma, len(exact))
+        planar, guarded = self._rays[: self._planar], self._rays[self._planar :]
+        near, far = ranges[: self._planar], ranges[self._planar :]
+        seen = near < self._plane.range_max
+        low, high = self._guard.band
+        height = guarded[:, 2] + guarded[:, 5] * far
+        hanging = (height > low) & (height < high) & (far < self._guard.range_max)
+        return Sweep(planar[seen, 3:5] * near[seen, None], guarded[hanging, 3:5] * far[hanging, None])
+
+
+def _fan(columns: int, slopes: NDArray[np.float64], height: float) -> NDArray[np.float32]:
+    """Rays in base_link from its vertical axis: all round, once for each slope (rise per metre)."""
+    azimuth, slope = (axis.ravel() for axis in np.meshgrid(np.arange(columns) * 2 * np.pi / columns, slopes))
+    along = np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=1)
+    direction = along / np.linalg.norm(along, axis=1, keepdims=True)
+    origin = np.broadcast_to((0.0, 0.0, height), direction.shape)
+    return np.concatenate([origin, direction], axis=1).astype(np.float32)
+
+
+def _placed(rays: NDArray[np.float32], x: float, y: float, yaw: float) -> NDArray[np.float32]:
+    """The rays of base_link in the world."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    placed = rays.copy()
+    placed[:, 0], placed[:, 1] = x, y
+    placed[:, 3] = cos * rays[:, 3] - sin * rays[:, 4]
+    placed[:, 4] = sin * rays[:, 3] + cos * rays[:, 4]
+    return placed

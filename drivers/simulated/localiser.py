@@ -14,14 +14,14 @@ from perception.grids import Cell, Grid
 Pose = tuple[float, float, float]
 Array = NDArray[np.float64]
 
-_KERNEL, _FAR = 0.075, 2.0
+_KERNEL, _FAR = 0.05, 2.0
 _ITERATIONS = 4
 _HITS_USED = 360
 _HIT_INFORMATION = 0.4
 _MIN_AGREEMENT = 0.2
 _MAX_CORRECTION = 0.15
 _STEP_BACK = 0.15
-_KNOWN_FREE_WEIGHT, _UNKNOWN_WEIGHT = 1.0, 0.3
+_KNOWN_FREE_WEIGHT, _UNKNOWN_WEIGHT = 1.0, 0.1
 _START_SIGMA = np.array([0.03, 0.03, np.deg2rad(1.0)])
 _PER_METRE = np.array([0.06, 0.06, np.deg2rad(1.5)])
 _PER_RADIAN = np.array([0.01, 0.01, 0.03])

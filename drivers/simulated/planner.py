@@ -12,10 +12,11 @@ from perception.grids import Grid
 
 Pose = tuple[float, float, float]
 
-_MARGINS = (0.05, 0.03, 0.01)
+_MARGINS = np.array([0.12, 0.08, 0.05, 0.03, 0.01])
 _ESCAPE_RADIUS = 0.35
 _HEURISTIC_SLACK = 0.02
 _GOAL_SLACK = 0.08
+_GOAL_MARGINS = (0.05, 0.03, 0.01)
 _MAX_EXPANSIONS = 1_500_000
 
 
@@ -59,27 +60,25 @@ class Planner:
         self._strides = lattice.strides()
 
     def plan(self, cost_map: CostMap, start: Pose, goal: tuple[float, float, float | None]) -> Path:
-        """The cheapest path; comfortable margins first, then tight ones. Raises ``NAV_NO_PATH``."""
+        """The cheapest path; short of space is dear, so that it keeps away from things as far as it can.
+
+        Raises:
+            FailureError: ``NAV_NO_PATH``.
+        """
         grid = cost_map.grid
         costs = cost_map.costs(self._cells_under(grid, start))
         row, column = (int(i) for i in grid.cells_of(start[:2]))
-        if not grid.contains((row, column)):
-            raise FailureError("NAV_NO_PATH", "the base stands outside the robot map", start=list(start[:2]))
-        reason = "the goal does not leave room for the footprint"
-        for margin in _MARGINS:
-            target = self._free_cell_near(grid, costs, goal, margin)
-            if target is None:
-                continue
-            reason = "no way is wide enough"
-            rows = self._search(grid, costs, (row, column, self._heading(start[2])), target, goal[2], margin)
-            if len(rows):
-                return self._path(grid, rows, start, goal)
+        reason = "the base stands outside the robot map"
+        if grid.contains((row, column)):
+            reason = "the goal does not leave room for the footprint"
+            target = self._free_cell_near(grid, costs, goal)
+            if target is not None:
+                reason = "no way is wide enough"
+                rows = self._search(grid, costs, (row, column, self._heading(start[2])), target, goal[2])
+                if len(rows):
+                    return self._path(grid, rows, start, goal)
         message = f"no path from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}): {reason}"
         raise FailureError("NAV_NO_PATH", message, start=list(start), goal=list(goal[:2]), reason=reason)
-
-    def is_blocked(self, cost_map: CostMap, poses: NDArray[np.float64]) -> bool:
-        """Whether the footprint at one of the poses ``(N, 3)`` holds an obstacle that the robot map did not have."""
-        return any(cost_map.is_seen_under((x, y, yaw), self._half) for x, y, yaw in poses)
 
     def _search(
         self,
@@ -88,7 +87,6 @@ class Planner:
         start: tuple[int, int, int],
         goal: tuple[int, int],
         yaw: float | None,
-        margin: float,
     ) -> NDArray[np.int64]:
         to_go = lattice.cost_to_go(costs.price, costs.clearance, self._half[1] - _HEURISTIC_SLACK, goal)
         if not np.isfinite(to_go[start[:2]]):
@@ -100,8 +98,9 @@ class Planner:
             -1 if yaw is None else self._heading(yaw),
             self._angles,
             self._strides,
-            (self._half[0] + margin, self._half[1] + margin),
-            (_ESCAPE_RADIUS, *self._half),
+            self._half,
+            _MARGINS,
+            _ESCAPE_RADIUS,
             costs.obstacle,
             costs.clearance,
             costs.price,
@@ -127,25 +126,23 @@ class Planner:
         return near[(np.abs(cos * dx + sin * dy) <= half_length) & (np.abs(cos * dy - sin * dx) <= half_width)]
 
     def _free_cell_near(
-        self, grid: Grid, costs: Costs, goal: tuple[float, float, float | None], margin: float
+        self, grid: Grid, costs: Costs, goal: tuple[float, float, float | None]
     ) -> tuple[int, int] | None:
-        """The goal's cell, or one within a few centimetres of it where the footprint fits."""
-        angles = self._angles if goal[2] is None else np.array([goal[2], self._angles[self._heading(goal[2])]])
-        half = self._half[0] + margin, self._half[1] + margin
+        """The goal's cell, or one within a few centimetres of it where the footprint fits better."""
+        headings = self._angles if goal[2] is None else np.array([goal[2], self._angles[self._heading(goal[2])]])
         reach = np.arange(-1, 2) * grid.resolution
-        around = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2) + goal[:2]
-        centres = grid.centres_of(grid.cells_of(around))
-        off = np.linalg.norm(centres - goal[:2], axis=1)
-        for index in np.argsort(off, kind="stable"):
-            if off[index] > _GOAL_SLACK:
-                break
-            row, column = (int(i) for i in grid.cells_of(centres[index]))
-            fits = [
-                lattice.footprint_free(row, column, a, *half, costs.obstacle, costs.clearance, grid.resolution)
-                for a in angles
-            ]
-            if all(fits) if goal[2] is not None else any(fits):
-                return row, column
+        around = grid.cells_of(np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2) + goal[:2])
+        off = np.linalg.norm(grid.centres_of(around) - goal[:2], axis=1)
+        near = around[np.argsort(off, kind="stable")][: np.count_nonzero(off < _GOAL_SLACK)]
+        for margin in _GOAL_MARGINS:
+            half = self._half[0] + margin, self._half[1] + margin
+            for row, column in near.tolist():
+                fits = [
+                    lattice.footprint_free(row, column, a, *half, costs.obstacle, costs.clearance, grid.resolution)
+                    for a in headings
+                ]
+                if any(fits) if goal[2] is None else all(fits):
+                    return row, column
         return None
 
     def _path(self, grid: Grid, rows: NDArray[np.int64], start: Pose, goal: tuple[float, float, float | None]) -> Path:

@@ -80,6 +80,24 @@ class LidarProfile:
 
 
 @dataclass(frozen=True)
+class GuardProfile:
+    """The depth sensors round the mast that look for table tops and the like close to the robot.
+
+    Args:
+        columns: azimuths over 360 degrees.
+        height: of the sensors above the floor, metres.
+        slopes: of the rays, rise per metre.
+        band: heights above the floor that matter, metres.
+    """
+
+    columns: int = 96
+    height: float = 1.25
+    slopes: tuple[float, ...] = (-1.6, -1.2, -0.95, -0.78, -0.66, -0.56, -0.48, -0.42, -0.36, -0.2, 0.0, 0.15, 0.35)
+    band: tuple[float, float] = (0.12, 1.5)
+    range_max: float = 2.5
+
+
+@dataclass(frozen=True)
 class OdometryProfile:
     """How the encoders lie. Scale errors are drawn once per run, uniformly within their bounds.
 
@@ -112,4 +130,5 @@ class BaseProfile:
     time_step: float = 0.05
     tilt_max: float = float(np.deg2rad(1.5))
     lidar: LidarProfile = LidarProfile()
+    guard: GuardProfile = GuardProfile()
     odometry: OdometryProfile = OdometryProfile()

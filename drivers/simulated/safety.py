@@ -1,15 +1,17 @@
-"""The last word before the wheels: slows down and stops so that no hit of the planar scanner is ever touched."""
+"""The last word before the wheels: slows down and stops so that nothing the base sees is ever touched."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.simulated.lidar import Sweep
 from drivers.simulated.profile import BaseProfile
 
 _MARGIN = 0.02
 _REACTION = 0.2
 # One or two may be noise; so near, even the leg of a chair is met by several beams.
 _HITS_THAT_COUNT = 3
+_OVERHANGS_THAT_COUNT = 2
 _SCALES = (1.0, 0.6, 0.3, 0.12)
 
 
@@ -20,28 +22,37 @@ class SafetyMonitor:
         self._profile = profile
         self._half = profile.footprint[0] / 2, profile.footprint[1] / 2
 
-    def space(self, hits: NDArray[np.float64]) -> float:
-        """Metres between the footprint and the nearest of the hits ``(N, 2)`` in base_link; inf without any."""
-        if not len(hits):
+    def space(self, sweep: Sweep) -> float:
+        """Metres between the footprint and the nearest thing seen; inf without any."""
+        seen = np.concatenate([sweep.plane, sweep.overhang])
+        if not len(seen):
             return float("inf")
-        over = np.maximum(np.abs(hits) - self._half, 0.0)
+        over = np.maximum(np.abs(seen) - self._half, 0.0)
         return float(np.hypot(over[:, 0], over[:, 1]).min())
 
-    def limit(self, command: tuple[float, float], hits: NDArray[np.float64]) -> tuple[float, float]:
+    def limit(self, command: tuple[float, float], sweep: Sweep) -> tuple[float, float]:
         """The command, slowed down as far as it must be; (0, 0) where no speed is safe."""
         speed, turn_rate = command
-        near = hits[(np.abs(hits) < 1.5).all(axis=1)]
+        plane, overhang = (seen[(np.abs(seen) < 1.5).all(axis=1)] for seen in (sweep.plane, sweep.overhang))
         for scale in _SCALES:
             v, w = speed * scale, turn_rate * scale
             stopping = max(abs(v) / self._profile.acceleration, abs(w) / self._profile.turn_acceleration)
-            if not _meets(near, v, w, _REACTION + stopping / 2, *self._half, _MARGIN):
+            motion = v, w, _REACTION + stopping / 2, *self._half, _MARGIN
+            if not (_meets(plane, _HITS_THAT_COUNT, *motion) or _meets(overhang, _OVERHANGS_THAT_COUNT, *motion)):
                 return v, w
         return 0.0, 0.0
 
 
 @njit(cache=True)
 def _meets(
-    hits: NDArray[np.float64], v: float, w: float, duration: float, half_length: float, half_width: float, margin: float
+    hits: NDArray[np.float64],
+    needed: int,
+    v: float,
+    w: float,
+    duration: float,
+    half_length: float,
+    half_width: float,
+    margin: float,
 ) -> bool:
     """Whether hits come into the footprint and its margin, or deeper into it, within so many seconds."""
     length, width = half_length + margin, half_width + margin
@@ -63,6 +74,6 @@ def _meets(
             if depth > 0.0 and depth > now + 0.002:
                 threats += 1
                 break
-        if threats == _HITS_THAT_COUNT:
+        if threats == needed:
             return True
     return False

@@ -70,9 +70,7 @@ def render(report: Report, drawn: list[pictures.Picture]) -> str:
         "embed": embed,
     }
     environment.filters.update(filters)
-    by_kind: dict[str, list[pictures.Picture]] = {}
-    for picture in drawn:
-        by_kind.setdefault(picture.kind, []).append(picture)
+    by_kind = {kind: [picture for picture in drawn if picture.kind == kind] for kind in pictures.KINDS}
     return environment.get_template("report.html").render(report | {"pictures": by_kind})
 
 

@@ -20,18 +20,21 @@ SCANS = (
 
 
 @contextmanager
-def canvas(path: Path, extent: tuple[float, float, float, float], width: float = 9.0) -> Iterator[Any]:
+def canvas(
+    path: Path, extent: tuple[float, float, float, float], width: float = 9.0, ground: str = PAPER
+) -> Iterator[Any]:
     """Axes in metres over ``(x0, y0, x1, y1)``, saved to ``path`` (by its suffix) when the block ends.
 
     Args:
         width: of the picture in inches; the height follows from the extent, within reason.
+        ground: colour of what is not drawn.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     x0, y0, x1, y1 = extent
     height = float(np.clip(width * (y1 - y0) / max(x1 - x0, 0.1), 2.0, 10.0))
-    figure = Figure(figsize=(width, height), facecolor=PAPER)
+    figure = Figure(figsize=(width, height), facecolor=ground)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_axis_off()

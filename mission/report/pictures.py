@@ -1,5 +1,6 @@
 """The pictures of a run, drawn from its folder into ``pictures/``; what the run lacks is not drawn."""
 
+import logging
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,11 +26,17 @@ from mission.report.canvas import (
     grid_extent,
     legend,
     rgb,
+    with_margins,
 )
 from mission.report.run import Record, Run, grid_of
 from perception import transforms
+from perception.failure import FailureError
 from perception.grids import Cell, Grid, Label
 from perception.scan import Scan
+
+KINDS = ("plan", "robot_map", "cloud", "view", "ceiling", "flatness")
+
+_UNKNOWN, _FLAT = "#dfe4e9", "#bfe0cd"
 
 _CLOUD_CELL = 0.02
 """Cell of the top view, metres."""
@@ -47,9 +54,15 @@ class Picture:
 
 
 def draw_all(run: Run) -> list[Picture]:
-    """Draw every picture the run has data for."""
+    """Draw every picture the run has data for; a damaged file costs its own picture only."""
     steps: tuple[Callable[[Run], list[Picture]], ...] = (_plan, _robot_map, _cloud, _views, _ceilings, _flatness)
-    return [picture for step in steps for picture in step(run)]
+    drawn: list[Picture] = []
+    for step in steps:
+        try:
+            drawn += step(run)
+        except FailureError as error:
+            logging.getLogger("mission.report").warning("a picture is left out: %s", error)
+    return drawn
 
 
 def _target(run: Run, name: str) -> Path:
@@ -151,10 +164,10 @@ def _robot_map(run: Run) -> list[Picture]:
     if grid is None:
         return []
     path = _target(run, "robot_map")
-    with canvas(path, with_margins(_surveyed(run) or grid_extent(grid))) as axes:
-        draw_grid(axes, grid, rgb(PAPER, INK, "#cbd2d9"))
+    with canvas(path, with_margins(_surveyed(run) or grid_extent(grid)), ground=_UNKNOWN) as axes:
+        draw_grid(axes, grid, rgb(PAPER, INK, _UNKNOWN))
         _draw_route(axes, run, _stations(run))
-        legend(axes, [(PAPER, "free"), (INK, "obstacle"), ("#cbd2d9", "unknown")])
+        legend(axes, [(PAPER, "free"), (INK, "obstacle"), (_UNKNOWN, "unknown")])
     return [Picture(path, "The robot map M(t) at the end", "robot_map")]
 
 
@@ -278,9 +291,9 @@ def _flatness(run: Run) -> list[Picture]:
         fused = _fused(grids)
         extent = _surveyed(run, room) or grid_extent(fused)
         path = _target(run, f"{room}_flatness")
-        with canvas(path, with_margins(extent), width=6.0) as axes:
-            draw_grid(axes, fused, rgb("#dcefe3", BAD, "#eef1f4"))
-            legend(axes, [("#dcefe3", "flat"), (BAD, "not flat"), ("#eef1f4", "unknown")])
+        with canvas(path, with_margins(extent), width=6.0, ground=_UNKNOWN) as axes:
+            draw_grid(axes, fused, rgb(_FLAT, BAD, _UNKNOWN))
+            legend(axes, [(_FLAT, "flat"), (BAD, "not flat"), (_UNKNOWN, "unknown")])
         pictures.append(Picture(path, f"{run.room_names.get(room, room)}: flatness map F(t)", "flatness", room))
     return pictures
 

@@ -45,6 +45,8 @@ _RECOVERIES = {
 """Names of the tree's recovery branches."""
 
 _TAKING = "take the scan"
+_ORDERLY_ENDS = {"NO_DOOR_LEFT"}
+"""Codes by which the tree ends a loop as it should; nothing went wrong there."""
 
 
 def outcome(run: Run) -> Row:
@@ -281,6 +283,7 @@ def failures(run: Run) -> list[Row]:
     return [
         {"t": e.get("t"), "code": e.get("code"), "message": e.get("message"), "evidence": e.get("evidence") or {}}
         for e in run.events_of("failure")
+        if e.get("code") not in _ORDERLY_ENDS
     ]
 
 

@@ -27,16 +27,17 @@ STAGES: dict[str, Callable[..., Any]] = {
 }
 
 
-def run(folder: Path, stage: str, arguments: Mapping[str, Any]) -> Any:
-    """Run a stage on the files of a run.
+def run(library: Library, stage: str, arguments: Mapping[str, Any]) -> Any:
+    """Run a stage on the scans of a run.
 
     Raises:
         KeyError: for a stage that does not exist.
         FailureError: as the stage says.
     """
-    return STAGES[stage](_library(folder), **arguments)
+    return STAGES[stage](library, **arguments)
 
 
 @lru_cache(maxsize=1)
-def _library(folder: Path) -> Library:
+def library_of(folder: Path) -> Library:
+    """The library of a run folder, the same one at every call, for a process that serves one mission."""
     return Library(RunFolder(folder))

@@ -14,7 +14,7 @@ from perception.scan import Scan
 from perception.segmentation import one_per_voxel
 from perception.surfels import Surface, surface_of
 from perception.transforms import Matrix
-from perception.validation import validate
+from perception.validation import Limits, validate
 
 T = TypeVar("T")
 
@@ -29,17 +29,22 @@ class Library:
     """Scans of one run: the whole ones while there is room, thinned ones and surfaces of all.
 
     What is kept of each scan for good is some megabytes, so that a mission of many rooms fits.
+
+    Args:
+        run: the run folder.
+        limits: what a scan must be like to be believed; None for a scanner that turns full circle.
     """
 
-    def __init__(self, run: RunFolder) -> None:
+    def __init__(self, run: RunFolder, limits: Limits | None = None) -> None:
         self.run = run
+        self.limits = limits
         self._scans: OrderedDict[str, Scan] = OrderedDict()
         self._kept: dict[tuple[str, str], Any] = {}
 
     def scan(self, scan_id: str) -> Scan:
         """A validated scan, whole."""
         if scan_id not in self._scans:
-            self._scans[scan_id] = validate(scan_file.read(self.run.scan_file(scan_id))).scan
+            self._scans[scan_id] = validate(scan_file.read(self.run.scan_file(scan_id)), self.limits).scan
         self._scans.move_to_end(scan_id)
         while len(self._scans) > _WHOLE_SCANS:
             self._scans.popitem(last=False)

@@ -33,7 +33,7 @@ def warm_up(library: Library) -> None:
 
 def validate_scan(library: Library, scan_id: str) -> ScanSummary:
     scan = library.scan(scan_id)
-    valid = validate(scan)
+    valid = validate(scan, library.limits)
     return ScanSummary(len(scan.points), valid.dropped, valid.return_share, valid.median_range, scan.base_from_scanner)
 
 
@@ -58,7 +58,7 @@ def register_scan(
 ) -> Registration:
     pose = matrix(guess)
     found = registration.register(library.surface(scan_id), _reference(library, reference, pose), pose)
-    registration.judge(found, (error_m, error_rad))
+    registration.judge(found, (error_m, error_rad), registration.NEAR_ODOMETRY)
     return found
 
 

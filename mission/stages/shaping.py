@@ -7,8 +7,9 @@ import numpy as np
 
 from mission.stages.library import Library, PlacedScans, matrix
 from mission.store import read_arrays, save_grid, write_arrays
-from perception import contour, doors, robot_map, segmentation, transforms
-from perception.findings import DoorFindings, Polygon, RoomShape
+from perception import contour, robot_map, segmentation, transforms
+from perception import doors as door_finding
+from perception.findings import Door, DoorFindings, Polygon, RoomShape
 from perception.grids import Cell
 from perception.robot_map import MapEvidence
 
@@ -31,12 +32,13 @@ def segment_room(
     cycle: int,
     seed: tuple[float, float],
     scans: PlacedScans,
+    doors: Sequence[Door],
     others: Sequence[Polygon],
     previous: RoomShape | None,
 ) -> RoomShape:
     points, stations, station_of = library.cloud(scans)
     levels = segmentation.floor_and_ceiling(points)
-    shape = contour.room_shape(points, levels, seed, stations, station_of, others, previous)
+    shape = contour.room_shape(points, levels, seed, stations, station_of, doors, others, previous)
     _keep_ceiling(library, room_id, cycle, points, shape)
     return shape
 
@@ -78,7 +80,7 @@ def build_map(
 
 
 def find_doors(library: Library, room_id: str, shape: RoomShape, scans: PlacedScans) -> DoorFindings:
-    return doors.find_doors(shape, library.placed(scans))
+    return door_finding.find_doors(shape, library.placed(scans))
 
 
 def _load_evidence(library: Library, map_id: str | None) -> MapEvidence | None:

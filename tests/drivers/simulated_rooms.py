@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 
 from drivers.interfaces import DriveGoal
+from drivers.jobs import Running
 from drivers.simulated.base import SimulatedBase
 from drivers.simulated.obstruction import Obstruction
 from drivers.simulated.world import Surface, Truth, World
@@ -56,7 +57,7 @@ def perfect_map(world: World, resolution: float = 0.05) -> Grid:
     """Obstacles wherever the robot's height is not clear, free elsewhere."""
     obstruction = Obstruction(world, (0.9, 0.6))
     fine = 5
-    # Shifted by a fraction of a cell, as no real wall lies on a cell's edge.
+    # The odd pad shifts the cells against the walls, as no real wall lies on a cell's edge.
     raster = np.pad(obstruction.raster, int(MARGIN * 100) + 2)
     raster = raster[: raster.shape[0] // fine * fine, : raster.shape[1] // fine * fine]
     blocks = raster.reshape(raster.shape[0] // fine, fine, raster.shape[1] // fine, fine).max(axis=(1, 3))
@@ -78,8 +79,6 @@ def goal(
 
 def run(base: SimulatedBase, seconds: float, until: str = "g1", dt: float = 0.05) -> float:
     """Advance until the goal has an outcome or the time is over; the simulated seconds that took."""
-    from drivers.jobs import Running
-
     for step in range(int(seconds / dt)):
         base.step(dt)
         if not isinstance(base.drive_status(until), Running):

@@ -54,8 +54,11 @@ def room_triangles(rectangle: tuple, door_x: float) -> list[tuple[np.ndarray, Su
     ]
 
 
-def two_rooms() -> World:
-    """A west room of 6 x 4 m and an east one of 4 x 4 m, joined by an open door 1 m wide; one table in the west."""
+def two_rooms(board: np.ndarray | None = None) -> World:
+    """A west room of 6 x 4 m and an east one of 4 x 4 m, joined by an open door 1 m wide; one table in the west.
+
+    ``board`` adds four corners ``(4, 3)`` of a piece of furniture.
+    """
     (x0, x1), (y0, y1) = (WEST[2], EAST[0]), DOOR
     table = quad((1.0, 0.5, 0.75), (2.5, 0.5, 0.75), (2.5, 1.5, 0.75), (1.0, 1.5, 0.75))
     parts = [
@@ -67,6 +70,7 @@ def two_rooms() -> World:
         (upright(x0, y1, x1, y1, 0, 2.1), Surface.OTHER),
         (table, Surface.FURNITURE),
     ]
+    parts += [] if board is None else [(quad(*(tuple(corner) for corner in board)), Surface.FURNITURE)]
     corners = np.concatenate([triangles for triangles, _ in parts])
     surface = np.concatenate([np.full(len(triangles), kind, np.uint8) for triangles, kind in parts])
     rooms = tuple(
@@ -95,9 +99,11 @@ class FakeRun:
     world_from_scanner: dict[str, np.ndarray]
 
 
-def write_run(parent: Path, pose_errors: dict[str, np.ndarray] | None = None) -> FakeRun:
+def write_run(
+    parent: Path, pose_errors: dict[str, np.ndarray] | None = None, board: np.ndarray | None = None
+) -> FakeRun:
     """Three scans through two rooms; ``pose_errors`` are added to the mission's poses, in the scanner's frame."""
-    world = two_rooms()
+    world = two_rooms(board)
     folder = RunFolder.at(parent / "2026-01-02T03-04-05_two-rooms")
     scene = Scene(_mesh(world))
     true_poses = {

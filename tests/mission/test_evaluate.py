@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.simulated.world import save_world
+from drivers.simulated.world import Surface, save_world
 from mission.evaluation import Evaluation, EvaluationSettings, evaluate, evaluate_run
 from perception import transforms
 from tests.mission.fake_run import FakeRun, write_run
@@ -71,6 +71,21 @@ def test_nearly_all_of_the_empty_rooms_is_sensed_but_for_the_blind_cones(perfect
     assert west_floor["sensed"] < west_floor["coverable"] - 2.0
 
 
+def test_a_board_against_a_wall_does_not_count_for_the_wall(tmp_path: Path) -> None:
+    board = (np.array([[5.9, 3.97, 0.0], [3.9, 3.97, 0.0], [3.9, 3.97, 3.0], [5.9, 3.97, 3.0]]), 6.0)
+    plain = write_run(tmp_path / "plain")
+    boarded = write_run(tmp_path / "boarded", board=board[0])
+    settings = dataclasses.replace(COARSE, station_step_m=0.3)
+    bare, covered = (
+        next(row for row in evaluate(run.folder, run.world, settings).table_2 if row["name"] == "west")["wall"]
+        for run in (plain, boarded)
+    )
+    assert bare["hidden"] < 0.5
+    assert covered["hidden"] == pytest.approx(board[1], rel=0.15)
+    assert bare["sensed"] - covered["sensed"] == pytest.approx(board[1], rel=0.15)
+    assert covered["truth"] == pytest.approx(bare["truth"])
+
+
 def test_a_wrong_pose_is_measured_relative_to_the_first_scan(tmp_path: Path) -> None:
     error = transforms.from_euler(0, 0, np.deg2rad(0.5), (0.03, 0.04, 0.0))
     run = write_run(tmp_path, {"S03": error})
@@ -116,6 +131,13 @@ def test_a_run_that_scanned_nothing_is_evaluated_too(tmp_path: Path) -> None:
     result = evaluate(run.folder, run.world, dataclasses.replace(COARSE, station_step_m=2.0))
     assert (result.rooms_finished, result.sensed_fraction, result.pose_error_max_m) == (0, 0.0, None)
     assert (result.doors_precision, result.doors_recall) == (1.0, 0.0)
+
+
+def test_a_world_without_known_surfaces_has_no_table(tmp_path: Path) -> None:
+    run = write_run(tmp_path)
+    bare = dataclasses.replace(run.world, surface=np.full_like(run.world.surface, Surface.OTHER))
+    result = evaluate(run.folder, bare, dataclasses.replace(COARSE, station_step_m=2.0))
+    assert (result.table_2, result.sensed_fraction, result.coverable_fraction) == ([], None, None)
 
 
 def test_the_evaluation_is_kept_as_json_beside_the_run(tmp_path: Path) -> None:

@@ -75,6 +75,21 @@ def test_chain_of_scans_does_not_drift():
     assert distance < 0.003 and angle < np.deg2rad(0.03)
 
 
+def test_instrument_that_measures_too_long_does_not_shift_the_pose(room):
+    """5 mm on every range move walls by different amounts seen head-on and from aside."""
+    _, _, truth = room
+    scene, first = furnished_room(), pose(2, 1.5, 0.3, (0.01, -0.005))
+
+    def long_surface(at, seed):
+        points = scene.take(at, PATTERN, seed=seed).points
+        return surface_of(points * (1 + 0.005 / np.linalg.norm(points, axis=1, keepdims=True)))
+
+    reference = reference_from([(long_surface(first, 1), first)])
+    found = register(long_surface(truth, 2), reference, truth @ transforms.planar(0.1, 0.1, 0.02))
+    distance, angle = transforms.difference(truth, found.map_from_scanner)
+    assert distance < 0.001 and angle < np.deg2rad(0.01)
+
+
 @pytest.fixture(scope="module")
 def corridor():
     scene = bare_corridor(400.0)

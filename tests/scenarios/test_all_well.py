@@ -1,10 +1,12 @@
 """Missions in which nothing goes wrong."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from behaviours.settings import BuildingSettings, Settings
 from tests.scenarios.play import Play
 from tests.scenarios.scripted import MOUNT
 from tests.scenarios.site import Site, row, star, twice_joined
@@ -81,6 +83,13 @@ def test_a_room_whose_views_promise_nothing_ends_without_a_confirming_scan() -> 
     assert play.run() == "complete"
     assert play.rooms == {"A": ("complete", "predicted_gain")}
     assert play.calls["take"] == 1
+
+
+def test_a_robot_that_need_not_come_home_ends_where_it_is() -> None:
+    """The site's settings say so: the last drive is to the last view."""
+    play = Play(row(2), settings=replace(Settings(), building=BuildingSettings(return_to_start=False)))
+    assert play.run() == "complete"
+    assert [event["purpose"] for event in play.events.of("drive")] == ["view", "door", "view"]
 
 
 def test_a_second_mission_in_the_same_process_knows_nothing_of_the_first() -> None:

@@ -20,7 +20,7 @@ def test_a_scan_that_fails_once_is_taken_again_on_the_spot() -> None:
 
 
 def test_a_scan_that_fails_twice_works_from_a_spot_nearby() -> None:
-    """Something at the view disturbs the scanner: the robot goes back half a metre the way it came, and there it works."""
+    """Something at the view disturbs the scanner: the robot goes half a metre back the way it came; there it works."""
     play = Play(row(1))
     play.script.fail("take", "SCAN_FAILED", [2, 3])
     assert play.run() == "complete"
@@ -42,7 +42,7 @@ def test_the_drive_nearby_does_not_claim_the_pose_of_the_last_scan() -> None:
 
 
 def test_a_scan_that_fails_for_ever_leaves_the_room_partial_with_its_code() -> None:
-    """Two spots, two attempts each; then the room is given up, its doors are still looked for, and the robot goes on."""
+    """Two spots, two attempts each; then the room is given up, its doors are looked for, and the robot goes on."""
     play = Play(row(2))
     play.script.fail("take", "SCAN_FAILED", LATER)
     assert play.run() == "incomplete"

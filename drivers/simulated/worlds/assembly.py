@@ -62,8 +62,8 @@ def _start(plan: Plan, shell: Shell) -> tuple[float, float, float]:
     if plan.start is not None:
         return (*plan.start.at, float(np.deg2rad(plan.start.yaw)))
     widest = max(shell.rooms.values(), key=lambda room: float(shapely.maximum_inscribed_circle(room).length))
-    circle = shapely.maximum_inscribed_circle(widest)
-    x, y = circle.coords[0]
+    leaves = shapely.union_all([leaf.footprint for _, leaf in shell.leaves])
+    x, y = shapely.maximum_inscribed_circle(widest.difference(leaves)).coords[0]
     return x, y, 0.0
 
 

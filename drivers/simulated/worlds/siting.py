@@ -49,11 +49,11 @@ def start_on(region: Grid, start: tuple[float, ...] | None) -> tuple[float, floa
 def outline_of(region: Grid, corners: NDArray[np.floating]) -> NDArray[np.float64]:
     """Outline ``(N, 2)`` of the floor around a region of robot positions, out to the walls, holes filled."""
     free = np.logical_not(_marked(corners, ROBOT_BAND, region)).astype(np.uint8)
-    grown = region.data.astype(np.uint8)
+    grown, around = region.data.astype(np.uint8), np.ones((3, 3), np.uint8)
     # Into the corners of the rooms, which are farther from the robot than its radius, but not through walls.
     for _ in range(round(1.5 * ROBOT_RADIUS / region.resolution)):
-        grown = cv2.dilate(grown, np.ones((3, 3), np.uint8)) & free
-    grown = cv2.dilate(grown, np.ones((3, 3), np.uint8))
+        grown = np.asarray(cv2.dilate(grown, around) * free, np.uint8)
+    grown = np.asarray(cv2.dilate(grown, around), np.uint8)
     contours, _ = cv2.findContours(grown, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     longest = max(contours, key=cv2.contourArea)[:, 0, ::-1]
     polygon = shapely.Polygon(region.centres_of(longest)).buffer(region.resolution / 2, join_style="mitre")

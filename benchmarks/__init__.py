@@ -1,0 +1,1 @@
+"""Campaigns and measurements behind the tables of the README."""

@@ -1,0 +1,142 @@
+"""A site's configuration: every error at once, with its dotted key."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mission.config import ConfigError, dump_config, load_config, parse_config
+
+WHOLE: dict[str, Any] = {
+    "site": "school",
+    "scanner": {"control": "tcp://127.0.0.1:5551", "bulk": "tcp://127.0.0.1:5552"},
+    "base": {"control": "tcp://127.0.0.1:5561", "telemetry": "tcp://127.0.0.1:5562"},
+}
+
+
+def refusal(data: object, overrides: tuple[str, ...] = ()) -> list[str]:
+    with pytest.raises(ConfigError) as refused:
+        parse_config(data, "site.yaml", overrides)
+    return str(refused.value).splitlines()
+
+
+def test_what_is_not_said_is_the_default() -> None:
+    config = parse_config(dict(WHOLE), "site.yaml")
+    assert config.clock_rate == 1.0
+    assert config.settings.room.growing_rate == 0.04
+    assert config.settings.room.occluded_decrease_rate == 0.05
+
+
+def test_a_setting_deep_down_leaves_its_neighbours_alone() -> None:
+    config = parse_config({**WHOLE, "settings": {"room": {"max_scans": 3}}}, "site.yaml")
+    assert (config.settings.room.max_scans, config.settings.room.voxel_m) == (3, 0.10)
+
+
+def test_every_error_is_told_at_once_with_its_key() -> None:
+    broken = {
+        **WHOLE,
+        "site": "Not A Name",
+        "clock_rate": 0,
+        "settings": {"room": {"labeller": "magic", "max_scans": "many"}},
+    }
+    lines = refusal(broken)
+    for key in ("site", "clock_rate", "settings.room.labeller", "settings.room.max_scans"):
+        assert sum(line.startswith(f"site.yaml: {key}: ") for line in lines) == 1, key
+    assert len(lines) == 4
+    assert any("found 'magic'" in line for line in lines)
+
+
+def test_a_missing_key_is_named() -> None:
+    assert any(line.startswith("site.yaml: site: ") for line in refusal({"scanner": {}, "base": {}}))
+
+
+@pytest.mark.parametrize(
+    ("extra", "key", "meant"),
+    [
+        ({"scaner": {}}, "scaner", "scanner"),
+        ({"settings": {"scaning": {}}}, "settings.scaning", "scanning"),
+        ({"settings": {"room": {"growing_rat": 0.1}}}, "settings.room.growing_rat", "growing_rate"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_what_was_meant(extra: dict[str, Any], key: str, meant: str) -> None:
+    assert refusal({**WHOLE, **extra}) == [f"site.yaml: {key}: unknown key; did you mean '{meant}'?"]
+
+
+def test_an_unknown_key_like_nothing_else_is_refused_with_what_is_known() -> None:
+    (line,) = refusal({**WHOLE, "xyzzy": 1})
+    assert "known here: version, site, scanner, base, clock_rate, settings" in line
+
+
+def test_unknown_keys_and_broken_values_are_told_together() -> None:
+    lines = refusal({**WHOLE, "clock_rate": -1, "settings": {"room": {"growing_rat": 0.1}}})
+    assert len(lines) == 2
+
+
+def test_overrides_come_on_top_and_are_yaml() -> None:
+    config = parse_config(
+        {**WHOLE, "settings": {"scanning": {"step_deg": 0.5}}},
+        "site.yaml",
+        ("settings.scanning.step_deg=0.1", "settings.building.return_to_start=false"),
+    )
+    assert config.settings.scanning.step_deg == 0.1
+    assert config.settings.building.return_to_start is False
+
+
+@pytest.mark.parametrize("override", ["settings.room.max_scans", "site.name=x"])
+def test_an_override_that_cannot_be_applied_says_which(override: str) -> None:
+    assert override in refusal(dict(WHOLE), (override,))[0]
+
+
+@pytest.mark.parametrize("data", [None, [], "text", 3])
+def test_what_is_no_mapping_is_no_configuration(data: object) -> None:
+    assert "expected keys and values" in refusal(data)[0]
+
+
+def test_a_resolved_configuration_is_read_back_as_it_was(tmp_path: Path) -> None:
+    config = parse_config({**WHOLE, "clock_rate": 20, "settings": {"room": {"labeller": "paper"}}}, "site.yaml")
+    path = tmp_path / "config.yaml"
+    path.write_text(dump_config(config))
+    assert load_config(path) == config
+
+
+@settings(max_examples=25)
+@given(
+    st.floats(0.001, 1000),
+    st.integers(1, 50),
+    st.sampled_from(["range", "paper"]),
+    st.from_regex(r"\A[a-z0-9_-]{1,9}\Z"),
+)
+def test_any_configuration_survives_the_way_to_its_file(rate: float, scans: int, labeller: str, name: str) -> None:
+    data = {**WHOLE, "site": f"s{name}", "clock_rate": rate}
+    config = parse_config({**data, "settings": {"room": {"max_scans": scans, "labeller": labeller}}}, "site.yaml")
+    assert parse_config(yaml.safe_load(dump_config(config)), "config.yaml") == config
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [("site: [unclosed", "not YAML"), ("\x00", "not YAML"), ("- a\n- b\n", "expected keys"), ("", "found NoneType")],
+)
+def test_a_file_that_is_no_configuration_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=complaint):
+        load_config(path)
+
+
+def test_a_file_that_is_absent_or_far_too_large_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="No such file"):
+        load_config(tmp_path / "absent.yaml")
+    large = tmp_path / "large.yaml"
+    large.write_text("#" * (256 * 1024 + 1))
+    with pytest.raises(ConfigError, match="at most 262144 bytes"):
+        load_config(large)
+
+
+def test_a_yaml_file_makes_no_objects(tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_text("site: !!python/object/apply:os.getcwd []\n")
+    with pytest.raises(ConfigError, match="not YAML"):
+        load_config(path)

@@ -1,0 +1,131 @@
+"""The perception worker: a real spawned process that may fail, die or hang without taking the mission along."""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.jobs import Done, Failed, Job, Running
+from mission import worker as module
+from mission.worker import PerceptionWorker
+from perception.failure import Failure
+from tests.mission import worker_stages
+
+
+@pytest.fixture
+def events() -> list[dict[str, Any]]:
+    return []
+
+
+@pytest.fixture
+def worker(tmp_path: Path, events: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> Iterator[PerceptionWorker]:
+    monkeypatch.setattr(module, "_run_stage", worker_stages.run_stage)
+    journal = SimpleNamespace(record=lambda kind, /, **figures: events.append({"kind": kind, **figures}))
+    worker = PerceptionWorker(tmp_path, journal)
+    yield worker
+    worker.close()
+
+
+def outcome_of(job: Job[Any], seconds: float = 30.0) -> Done[Any] | Failed:
+    end = time.monotonic() + seconds
+    while isinstance(outcome := job.poll(), Running):
+        assert time.monotonic() < end, "it does not end"
+        time.sleep(0.005)
+    return outcome
+
+
+def failure_of(job: Job[Any]) -> Failure:
+    outcome = outcome_of(job)
+    assert isinstance(outcome, Failed)
+    return outcome.failure
+
+
+def is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def wait_for(path: Path) -> int:
+    end = time.monotonic() + 20
+    while not (path.exists() and path.read_text()):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    return int(path.read_text())
+
+
+def test_a_stage_runs_in_one_process_of_its_own_and_is_on_record(
+    worker: PerceptionWorker, events: list[dict[str, Any]]
+) -> None:
+    job = worker.submit("add", a=2, b=3, scan_id="S01", room_id="R1", cycle=2)
+    assert isinstance(job.poll(), Running)
+    assert outcome_of(job) == Done(5)
+    assert job.poll() == Done(5), "asked again, it answers the same"
+    ids = {"scan_id": "S01", "room_id": "R1", "cycle": 2}
+    assert events == [{"kind": "stage", "name": "add", "seconds": 0.125, "failure": None, **ids}]
+    first, second = (outcome_of(worker.submit("process_id")) for _ in range(2))
+    assert first == second != Done(os.getpid())
+
+
+def test_a_stage_that_refuses_comes_back_with_its_code_and_evidence(
+    worker: PerceptionWorker, events: list[dict[str, Any]]
+) -> None:
+    failure = failure_of(worker.submit("refuse", scan_id="S02"))
+    assert failure == Failure("REG_DEGENERATE", "slides along the corridor", {"min_eigenvalue": 0.001})
+    assert [(event["failure"], event["scan_id"]) for event in events] == [("REG_DEGENERATE", "S02")]
+    bug = failure_of(worker.submit("break_down"))
+    assert bug.code == "PERC_EXCEPTION"
+    assert "ZeroDivisionError: a bug" in bug.message
+    assert "break_down" in str(bug.evidence["traceback"])
+    assert failure_of(worker.submit("no such stage")).code == "PERC_EXCEPTION"
+
+
+def test_a_process_that_dies_gets_a_second_chance_and_no_third(
+    worker: PerceptionWorker, events: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    assert outcome_of(worker.submit("die", times=1)) == Done("alive after 1")
+    (tmp_path / "deaths").unlink()
+    assert failure_of(worker.submit("die", times=9)).code == "PERC_DIED"
+    assert (tmp_path / "deaths").read_text() == "xx"
+    assert [event["failure"] for event in events] == [None, "PERC_DIED"]
+    assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2), "the next stage has a process again"
+
+
+def test_a_stage_that_hangs_is_killed_at_its_deadline(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, events: list[dict[str, Any]]
+) -> None:
+    monkeypatch.setattr(module, "_run_stage", worker_stages.run_stage)
+    journal = SimpleNamespace(record=lambda kind, /, **figures: events.append({"kind": kind, **figures}))
+    worker = PerceptionWorker(tmp_path, journal, deadline=0.5)
+    try:
+        assert failure_of(worker.submit("hang")).code == "PERC_TIMEOUT"
+        assert not is_alive(wait_for(tmp_path / "hanging"))
+    finally:
+        worker.close()
+
+
+def test_a_cancelled_stage_is_killed_and_the_next_one_runs(worker: PerceptionWorker, tmp_path: Path) -> None:
+    job = worker.submit("hang")
+    process = wait_for(tmp_path / "hanging")
+    job.cancel()
+    job.cancel()
+    assert failure_of(job).code == "CANCELLED"
+    assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2)
+    assert not is_alive(process)
+
+
+def test_closing_leaves_no_process_behind_even_in_the_middle_of_a_stage(
+    worker: PerceptionWorker, tmp_path: Path
+) -> None:
+    worker.submit("hang")
+    process = wait_for(tmp_path / "hanging")
+    worker.close()
+    assert not is_alive(process)
+    assert multiprocessing.active_children() == []

@@ -1,0 +1,48 @@
+"""Stages for a worker that does not load the real ones: cheap, and as bad as a test wants them."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from perception.failure import FailureError
+
+
+def run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, float]:
+    """What the worker's process calls, in place of :func:`mission.worker._run_stage`."""
+    return STAGES[stage](Path(run), **arguments), 0.125
+
+
+def add(run: Path, a: int, b: int, **_: Any) -> int:
+    return a + b
+
+
+def process_id(run: Path) -> int:
+    return os.getpid()
+
+
+def refuse(run: Path, **_: Any) -> None:
+    raise FailureError("REG_DEGENERATE", "slides along the corridor", min_eigenvalue=0.001)
+
+
+def break_down(run: Path) -> None:
+    raise ZeroDivisionError("a bug")
+
+
+def die(run: Path, times: int) -> str:
+    """The process is killed the first so many times."""
+    deaths = run / "deaths"
+    count = len(deaths.read_text()) if deaths.exists() else 0
+    if count < times:
+        deaths.write_text("x" * (count + 1))
+        os.kill(os.getpid(), signal.SIGKILL)
+    return f"alive after {count}"
+
+
+def hang(run: Path) -> None:
+    (run / "hanging").write_text(str(os.getpid()))
+    time.sleep(60)
+
+
+STAGES = {"add": add, "process_id": process_id, "refuse": refuse, "break_down": break_down, "die": die, "hang": hang}

@@ -11,7 +11,7 @@ from behaviours.scanning import StageLeaf
 from behaviours.survey import Survey, Target
 from perception import building as plan
 from perception.failure import Failure, FailureError
-from perception.findings import DoorFindings
+from perception.findings import Door, DoorFindings
 
 
 class BeginRoom(Leaf):
@@ -68,7 +68,7 @@ class FindDoors(StageLeaf):
     def finish(self, value: DoorFindings) -> Status:
         survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
         building = survey.building.observe_doors(room_id, value.doors, survey.shapes)
-        self.write(Key.SURVEY, replace(survey, building=building))
+        self.write(Key.SURVEY, replace(survey, building=building, suspects=value.suspects))
         self.services.journal.record(
             "doors",
             room_id=room_id,
@@ -76,6 +76,25 @@ class FindDoors(StageLeaf):
             refused=[{**plan.door_to_dict(door), "gate": gate} for door, gate in value.refused],
         )
         self.say(f"{len(value.doors)} open, {len(value.refused)} openings turned down")
+        return Status.SUCCESS
+
+
+class ChooseSuspect(Leaf):
+    """Picks an opening that may be a door but was seen too obliquely, and a place before it; each is looked at once."""
+
+    reads = (Key.ROOM,)
+    writes = (Key.SURVEY, Key.TARGET)
+
+    def step(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        suspect = next((door for door in survey.suspects if not _among(door, survey.looked_at)), None)
+        if suspect is None:
+            return self.decline(Failure("NO_SUSPECT_LEFT", "every opening was seen well enough"))
+        survey, goal_id = replace(survey, looked_at=(*survey.looked_at, suspect)).next_goal()
+        x, y = plan.before(suspect, self.services.settings.driving.look_m)
+        self.write(Key.SURVEY, survey)
+        self.write(Key.TARGET, Target(goal_id, x, y, None, "suspect"))
+        self.say(f"an opening at ({suspect.x:.1f}, {suspect.y:.1f}) may be a door")
         return Status.SUCCESS
 
 
@@ -115,3 +134,7 @@ class DeferDoor(Leaf):
         self.write(Key.SURVEY, replace(survey, building=building))
         self.say(f"{self.read(Key.DOOR)} is left for later")
         return Status.SUCCESS
+
+
+def _among(door: Door, others: tuple[Door, ...]) -> bool:
+    return any(plan.same_door(door, other) for other in others)

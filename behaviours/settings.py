@@ -34,7 +34,7 @@ class RoomSettings:
 
     growing_rate: float = 0.04
     occluded_decrease_rate: float = 0.05
-    predicted_rate: float = 0.01
+    predicted_rate: float = 0.004
     max_scans: int = 12
     voxel_m: float = 0.10
     labeller: Literal["range", "paper"] = "range"
@@ -44,7 +44,10 @@ class RoomSettings:
 
 @dataclass(frozen=True)
 class DrivingSettings:
-    """Bounds of driving: deadline of one drive, views tried before the room is given up, how long one is avoided."""
+    """Bounds of driving: deadline of one drive, views tried before the room is given up, how long one is avoided.
+
+    ``look_m`` is the distance from which an opening that may be a door is looked at once more.
+    """
 
     timeout_s: float = 900.0
     view_attempts: int = 5
@@ -52,7 +55,7 @@ class DrivingSettings:
     avoid_s: float = 600.0
     path_clearance_m: float = 0.36
     goal_clearance_m: float = 0.58
-    door_clearance_m: float = 0.05
+    look_m: float = 0.95
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from drivers.interfaces import ScanReceipt
 from perception.building import Building
-from perception.findings import Alignment, LabelCounts, Registration, RoomShape
+from perception.findings import Alignment, Door, LabelCounts, Registration, RoomShape
 from perception.stopping import StopDecision
 from perception.transforms import Matrix, inverse, to_planar
 
@@ -90,6 +90,8 @@ class Survey:
     set_aside: tuple[CurrentScan, ...] = ()
     shapes: Mapping[str, RoomShape] = field(default_factory=dict)
     cycles: Mapping[str, tuple[Cycle, ...]] = field(default_factory=dict)
+    suspects: tuple[Door, ...] = ()
+    looked_at: tuple[Door, ...] = ()
     track: tuple[PlanarPose, ...] = ()
     driven: float = 0.0
     map_id: str | None = None

@@ -15,8 +15,10 @@ HEIGHTS = (0.5, 2.2)
 """Where the optical centre may be above the floor, metres."""
 _STAGES = ((1.0, 0.08, 6), (0.25, 0.04, 2), (0.05, 0.02, 1))
 """(step in degrees, bin in metres, hills kept), coarse to fine; each stage searches one step of the one before."""
+RANGE_ERROR = 0.01
+"""Largest constant error of the ranges that is believed, metres."""
 _SECTORS = 36
-_NEAR = 8.0
+_NEAR = 5.0
 
 
 def align(
@@ -28,7 +30,7 @@ def align(
 
     The cloud is first thinned to one point per 5 cm cube, so that a peak's height is the area of a level and not its
     nearness to the scanner. The angles found by brute force are finished by a robust fit of parallel planes, one to
-    each of the floor and the ceiling: together they cancel a constant error of the ranges.
+    each of the floor and the ceiling, with a constant error of the ranges as a further unknown.
 
     Args:
         points: ``(N, 3)``, metres, scanner frame, finite.
@@ -48,7 +50,8 @@ def align(
     roll, pitch = _brute_force(sample, tilt_limit)
     normal = _vertical(roll, pitch)
     floor, ceiling = _floor(sample, normal, scanner_heights), _ceiling(sample @ normal)
-    normal = _fit_normal(sample, normal, [level for level in (floor, ceiling) if level])
+    normal, range_error = _fit_normal(sample, normal, [level for level in (floor, ceiling) if level])
+    sample *= 1.0 - range_error / np.linalg.norm(sample, axis=1, keepdims=True)
     roll, pitch = float(np.arctan2(normal[1], normal[2])), float(np.arcsin(-normal[0]))
     if max(abs(roll), abs(pitch)) > tilt_limit:
         tilt = float(np.rad2deg(np.arccos(normal[2])))
@@ -176,7 +179,7 @@ def _floor(sample: NDArray[np.floating], normal: NDArray[np.floating], heights: 
             levels=[-level.peak for level in levels],
             sectors=around,
         )
-    return next(level for level, seen in zip(levels, around, strict=True) if seen >= 0.5 * max(around))
+    return next(level for level, seen in zip(levels, around, strict=True) if seen >= 0.6 * max(around))
 
 
 def _ceiling(z: NDArray[np.floating]) -> Interval | None:
@@ -188,20 +191,26 @@ def _ceiling(z: NDArray[np.floating]) -> Interval | None:
 
 def _fit_normal(
     sample: NDArray[np.floating], normal: NDArray[np.floating], levels: list[Interval]
-) -> NDArray[np.float64]:
-    """Common normal of parallel planes, one per level, by least squares with a shrinking tolerance."""
-    z = sample @ normal
+) -> tuple[NDArray[np.float64], float]:
+    """Common normal of parallel planes, one per level, and the constant error of the ranges that bends them.
+
+    Least squares with a shrinking tolerance. A range that is long by c lowers the floor and lifts the ceiling by
+    c sin(elevation), so the two tell c from a tilt.
+    """
+    sine = sample[:, 2] / np.linalg.norm(sample, axis=1)
+    z, error = sample @ normal, 0.0
     member = [np.abs(z - level.peak) < 0.10 for level in levels]
     for tolerance in (0.05, 0.02, 0.01, 0.01):
-        blocks = [sample[chosen] - sample[chosen].mean(axis=0) for chosen in member if chosen.sum() >= 10]
+        blocks = [np.column_stack([sample[m, :2], sine[m], sample[m, 2]]) for m in member if m.sum() >= 10]
         if not blocks:
             break
-        centred = np.concatenate(blocks)
-        slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
-        normal = np.array([-slopes[0], -slopes[1], 1.0]) / np.sqrt(1.0 + slopes @ slopes)
-        z = sample @ normal
-        member = [np.abs(z - np.median(z[chosen])) < tolerance for chosen in member if chosen.any()]
-    return np.asarray(normal, float)
+        centred = np.concatenate([block - block.mean(axis=0) for block in blocks])
+        slope_x, slope_y, error = np.linalg.lstsq(centred[:, :3], centred[:, 3], rcond=None)[0]
+        error = float(np.clip(error, -RANGE_ERROR, RANGE_ERROR))
+        normal = np.array([-slope_x, -slope_y, 1.0]) / np.sqrt(1.0 + slope_x**2 + slope_y**2)
+        z = sample @ normal - error * sine
+        member = [np.abs(z - np.median(z[m])) < tolerance for m in member if m.any()]
+    return np.asarray(normal, float), error
 
 
 def _centre(heights: NDArray[np.floating], level: Interval) -> float:

@@ -21,6 +21,8 @@ from perception.wall_evidence import CELL, Beam, Evidence, Wall, gather, local_p
 
 __all__ = ["DoorGates", "before", "beyond", "door_pose", "find_doors"]
 
+UNVERIFIED = "depth"
+"""The last gate: all else speaks for a door, but from where the scans were nobody saw that it leads anywhere."""
 NOMINAL_THICKNESS = 0.15
 """Of a wall whose other face was not seen, metres."""
 
@@ -94,7 +96,8 @@ def find_doors(
         robot_width: metres that an opened leaf must leave; a narrower door is refused as ``narrow``.
 
     Returns:
-        The doors, and the door-like holes that failed, each with the name of the gate.
+        The doors; the door-like holes that failed, each with the name of the gate; and of those the suspects, which
+        a scan from nearby would decide.
     """
     ranges = [scan.range_image() for scan, _ in scans]
     cloud = _surroundings(shape, scans)
@@ -112,7 +115,7 @@ def find_doors(
                 doors.append(door)
             else:
                 refused.append((door, gate))
-    return DoorFindings(tuple(doors), tuple(refused))
+    return DoorFindings(tuple(doors), tuple(refused), tuple(door for door, gate in refused if gate == UNVERIFIED))
 
 
 def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> NDArray[np.float32]:
@@ -208,9 +211,9 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
         "fill": door.confidence >= gates.fill,
         "jambs": _jambs_stand(opening, gates),
         "floor": _floor_goes_on(opening, gates),
-        "depth": _goes_on(opening, gates),
-        "mirror": not _is_mirror(opening, gates),
         "narrow": door.net_width >= robot_width,
+        "mirror": not _is_mirror(opening, gates),
+        UNVERIFIED: _goes_on(opening, gates),
     }
     return door, next((gate for gate, passed in checks.items() if not passed), None)
 

@@ -150,7 +150,8 @@ class Door:
 
 @dataclass(frozen=True)
 class DoorFindings:
-    """Doors found in a room, and openings that were looked at and turned down, with the gate that did it."""
+    """Doors found in a room, openings that were turned down with the gate that did it, and those to look at closer."""
 
     doors: tuple[Door, ...]
     refused: tuple[tuple[Door, str], ...] = field(default=())
+    suspects: tuple[Door, ...] = field(default=())

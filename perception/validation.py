@@ -18,14 +18,19 @@ class Limits:
         extent: smallest and largest side of the cloud's bounding box that is longest, metres.
         median_range: smallest and largest median range, metres; tells millimetres and feet from metres.
         return_share: smallest share of the beams that returned.
-        empty_sector: widest gap in azimuth without any return, radians; jambs nearer than the minimum range leave some.
+        empty_sector: widest gap in azimuth without any return, radians; walls nearer than the minimum range leave some.
+        cut_sector: widest such gap between directions that did return, radians: jambs leave narrow ones, a scan that
+            was broken off a wide one.
+        cut_rows: largest share of rows of beams that are empty above rows that did return.
     """
 
     bad_share: float = 0.001
     extent: tuple[float, float] = (0.5, 400.0)
     median_range: tuple[float, float] = (0.3, 60.0)
     return_share: float = 0.15
-    empty_sector: float = np.deg2rad(120.0)
+    empty_sector: float = np.deg2rad(200.0)
+    cut_sector: float = np.deg2rad(75.0)
+    cut_rows: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -66,14 +71,10 @@ def validate(scan: Scan, limits: Limits | None = None) -> ValidScan:
     if dropped > limits.bad_share * len(good):
         share = dropped / len(good)
         raise _invalid(f"{share:.2%} of the points are not finite, out of range or off their beam", dropped=dropped)
-    returned, sector = len(cleaned.points) / scan.pattern.size, _empty_sector(cleaned)
-    if returned < limits.return_share:
-        raise FailureError("SCAN_INCOMPLETE", f"only {returned:.1%} of the beams returned", return_share=returned)
-    if sector > limits.empty_sector:
-        degrees = float(np.rad2deg(sector))
-        raise FailureError("SCAN_INCOMPLETE", f"no return over {degrees:.0f} degrees", empty_sector_deg=degrees)
+    sector = _check_complete(cleaned, limits)
     low, high = cleaned.points.min(axis=0), cleaned.points.max(axis=0)
     extent = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
+    returned = len(cleaned.points) / scan.pattern.size
     return ValidScan(cleaned, dropped, returned, extent, _median_range(cleaned.points), sector)
 
 
@@ -132,9 +133,36 @@ def _median_range(points: NDArray[np.floating]) -> float:
     return float(np.median(np.linalg.norm(points, axis=1)))
 
 
-def _empty_sector(scan: Scan) -> float:
-    columns = np.unique(scan.beam % scan.pattern.columns)
-    if len(columns) == 0:
-        return 2 * float(np.pi)
-    gaps = np.diff(np.append(columns, columns[0] + scan.pattern.columns)) - 1
-    return float(gaps.max() * scan.pattern.azimuth_step)
+def _check_complete(scan: Scan, limits: Limits) -> float:
+    """Refuse a scan with a part missing; the widest empty sector in radians otherwise."""
+    image = scan.range_image() > 0
+    returned = float(image.mean())
+    if returned < limits.return_share:
+        raise FailureError("SCAN_INCOMPLETE", f"only {returned:.1%} of the beams returned", return_share=returned)
+    missing = _missing_top(image)
+    if missing > limits.cut_rows:
+        raise FailureError("SCAN_INCOMPLETE", f"the upper {missing:.0%} of the rows are missing", missing_rows=missing)
+    sector, cut = _empty_sector(image)
+    if sector > limits.empty_sector or (cut and sector > limits.cut_sector):
+        degrees = float(np.rad2deg(sector))
+        raise FailureError("SCAN_INCOMPLETE", f"no return over {degrees:.0f} degrees", empty_sector_deg=degrees)
+    return sector
+
+
+def _missing_top(image: NDArray[np.bool_]) -> float:
+    """Share of empty rows at the top, if the rows below them returned: the sky takes beams little by little."""
+    share = image.mean(axis=1)
+    last = int(np.flatnonzero(share > 0)[-1])
+    # The last row may itself be cut in its middle.
+    broken_off = share[max(last - 3, 0) : last].mean() > 0.5 if last > 0 else False
+    return float(len(share) - 1 - last) / len(share) if broken_off else 0.0
+
+
+def _empty_sector(image: NDArray[np.bool_]) -> tuple[float, bool]:
+    """Widest azimuth without a return, radians, and whether it is cut off from directions that returned in full."""
+    share = image.mean(axis=0)
+    filled = np.flatnonzero(share > 0)
+    gaps = np.diff(np.append(filled, filled[0] + len(share))) - 1
+    widest = int(gaps.argmax())
+    borders = share[[filled[widest], filled[(widest + 1) % len(filled)]]]
+    return float(gaps[widest] * 2 * np.pi / len(share)), bool(borders.min() > 0.5)

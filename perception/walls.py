@@ -22,10 +22,10 @@ OUTER_SHARE = 0.25
 """An outer peak is the wall if it holds this share of the highest peak of the d-histogram."""
 NOTCH_DEPTH, NOTCH_WIDTH, NOTCH_SIDES = 0.45, 0.8, 4
 """A dent in a wall up to this deep and wide (metres, number of sides) is filled."""
-HEIGHT_SHARE = 0.5
+HEIGHT_SHARE = 0.75
 """... and shows in this share of the heights that the fullest peak shows in: full height, not a frame or a sill."""
 CEILING_SHARE = 0.6
-"""... or if it meets the ceiling along this share of the side, as the wall above a curtain does."""
+"""... or if it meets the ceiling along this share of the side where nothing before it does: above a curtain."""
 _CEILING_ROWS = 3
 _BIN = 0.02
 _PATCH = 0.10
@@ -179,8 +179,8 @@ def wall_peak(
     """Interval of the d-histogram around the wall: its outer significant peak, or None if there is no wall.
 
     The histogram counts patches of 10 x 10 cm instead of points, so that its height is an area whatever the density.
-    Curtains and cabinets stand before the wall, which shows beside or above them; what lies behind it (frames, sills)
-    neither shows over most of the height nor meets the ceiling.
+    Curtains and cabinets stand before the wall, which shows over the full height beside them or, where they do not
+    reach the ceiling, above them. What lies behind a wall (panes, frames, reveals) shows over a part of the height.
 
     Args:
         along, distance: ``(N,)`` position along the side and outwards of it, metres.
@@ -198,10 +198,13 @@ def wall_peak(
     met = _distinct(bins[under_ceiling], size, column[under_ceiling])
     peaks = local_maxima(_with_neighbours(counts), reach=2)
     area, height, met = (_with_neighbours(values)[peaks] for values in (counts, height, met))
-    full_height = (area >= OUTER_SHARE * area.max()) & (height >= HEIGHT_SHARE * height.max())
-    significant = (full_height | (met >= CEILING_SHARE * length / _PATCH)) & (
-        area > 0.03 * length / _PATCH * height.max()
-    )
+    columns = length / _PATCH
+    visible = area > 0.03 * columns * height.max()
+    full_height = visible & (area >= OUTER_SHARE * area.max()) & (height >= HEIGHT_SHARE * height.max())
+    under = visible & (met >= CEILING_SHARE * columns)
+    if full_height.any() and met[full_height][-1] >= 0.5 * CEILING_SHARE * columns:
+        under[:] = False
+    significant = full_height | under
     if not significant.any():
         return None
     outer = int(peaks[significant][-1])

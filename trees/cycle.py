@@ -22,8 +22,13 @@ from trees.compose import first_that_works, if_possible, steps
 
 
 def cycle(settings: Settings) -> Behaviour:
+    return steps("cycle", observation(settings), next_view(settings))
+
+
+def observation(settings: Settings) -> Behaviour:
+    """A scan, and all maps with it in them."""
     return steps(
-        "cycle",
+        "observe",
         registered_scan(settings),
         if_possible(
             "scan set aside",
@@ -32,7 +37,6 @@ def cycle(settings: Settings) -> Behaviour:
         SegmentRoom("find the room's contour"),
         BuildMap("build the robot map"),
         LabelSpace("label the voxel space"),
-        next_view(settings),
     )
 
 

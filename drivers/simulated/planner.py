@@ -14,10 +14,10 @@ Pose = tuple[float, float, float]
 
 _MARGINS = np.array([0.12, 0.08, 0.05, 0.03, 0.01])
 _ESCAPE_RADIUS = 0.35
-_HEURISTIC_SLACK = 0.02
+_HEURISTIC_SLACK = 0.002
 _GOAL_SLACK = 0.08
 _GOAL_MARGINS = (0.05, 0.03, 0.01)
-_MAX_EXPANSIONS = 1_500_000
+_MAX_EXPANSIONS = 600_000
 
 
 @dataclass(frozen=True)

@@ -101,9 +101,9 @@ def test_it_waits_for_a_person_in_the_door_and_goes_on():
     assert base.collisions == 0
 
 
-def test_it_drives_round_a_cart_that_stays():
-    cart = Track(((0.0, 2.6, 3.4), (2.0, 2.6, 2.1), (FOR_EVER, 2.6, 2.1)), kind="cart")
-    base = base_in(scenario=Scenario(tracks=(cart,)))
+def test_it_drives_round_a_person_who_stays():
+    person = Track(((0.0, 2.9, 3.5), (2.0, 2.8, 2.1), (FOR_EVER, 2.8, 2.1)))
+    base = base_in(scenario=Scenario(tracks=(person,)))
     outcome, taken = drive(base, DOORWAY)
     assert isinstance(outcome, Done), outcome
     assert taken > 20.0

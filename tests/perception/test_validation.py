@@ -86,6 +86,24 @@ def test_a_scan_that_was_cut_short_is_incomplete(scan):
     assert _code(_part(scan, scan.beam % COARSE.columns < 0.6 * COARSE.columns)) == "SCAN_INCOMPLETE"
 
 
+def test_a_scan_without_its_last_rows_is_incomplete(scan):
+    assert _code(_part(scan, slice(0, int(0.9 * len(scan.points))))) == "SCAN_INCOMPLETE"
+
+
+def test_the_open_sky_is_not_a_missing_part():
+    court = Scene(box((-4, -3, -0.1), (5, 6, 0)), box((-4, -3, 0), (-3.9, 6, 2.5)), box((-4, 5.9, 0), (5, 6, 2.5)))
+    assert validate(court.take(transforms.from_euler(0, 0, 0, (0, 0, 1.3)), COARSE)).return_share < 0.7
+
+
+def test_a_near_wall_and_jambs_are_not_a_missing_part():
+    near = replace(COARSE, range_min=1.5)
+    corner = Scene(box((-0.5, -0.5, 0), (6, 5, 3)))
+    valid = validate(corner.take(transforms.from_euler(0, 0, 0, (0, 0, 1.3)), near))
+    assert valid.empty_sector > np.deg2rad(90)
+    jambs = [box((-0.1, 0.45, 0), (0.1, 3, 3)), box((-0.1, -3, 0), (0.1, -0.45, 3)), box((-4, -3, 0), (4, 3, 3))]
+    assert validate(Scene(*jambs).take(transforms.from_euler(0, 0, 0, (0, 0, 1.3)), near)).dropped == 0
+
+
 def test_too_few_returns_are_incomplete(scan):
     assert _code(_part(scan, slice(None, None, 10))) == "SCAN_INCOMPLETE"
 

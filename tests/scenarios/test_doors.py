@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from behaviours.settings import BuildingSettings, Settings
+from perception.findings import Door, DoorFindings
 from tests.scenarios.play import Play
 from tests.scenarios.site import row, star
 
@@ -96,4 +97,23 @@ def test_doors_that_cannot_be_looked_for_do_not_end_the_mission() -> None:
     play.script.fail("find_doors", "PERC_TIMEOUT")
     assert play.run() == "incomplete"
     assert play.rooms == {"A": ("partial", "PERC_TIMEOUT")}
-    assert play.events.codes == ["PERC_TIMEOUT", "NO_DOOR_LEFT"]
+    assert play.events.codes == ["PERC_TIMEOUT"]
+
+
+def test_an_opening_in_doubt_is_looked_at_from_nearby_and_then_entered() -> None:
+    """Past a half open leaf nobody sees anything: the robot drives before it, scans again, and then it is a door."""
+    play = Play(row(2))
+    doubted = next(iter(play.site.passages.values())).seen_from("A")
+    play.script.answer("find_doors", DoorFindings((), ((doubted, "depth"),), (doubted,)))
+    assert play.run() == "complete"
+    assert sorted(play.rooms) == ["A", "B"]
+    assert "suspect" in [drive["purpose"] for drive in play.events.of("drive")]
+
+
+def test_an_opening_that_stays_in_doubt_is_looked_at_only_once() -> None:
+    """A second look did not help: the robot does not stare at it for ever."""
+    play = Play(row(1))
+    niche = Door(0.0, 2.0, (0.0, 1.0), 0.9, 0.9, 2.0, 1.0)
+    play.script.answer("find_doors", DoorFindings((), ((niche, "depth"),), (niche,)), calls=range(1, 20))
+    play.run()
+    assert [drive["purpose"] for drive in play.events.of("drive")].count("suspect") == 1

@@ -19,7 +19,7 @@ def test_a_refused_registration_is_tried_by_features() -> None:
     assert asked["error_m"] == play.settings.registration.global_search_m
     assert asked["error_rad"] == math.pi
     assert (play.calls["take"], play.calls["register_globally"]) == (2, 1)
-    assert play.events.codes == ["REG_LOW_OVERLAP", "NO_DOOR_LEFT"]
+    assert play.events.codes == ["REG_LOW_OVERLAP"]
 
 
 def test_a_scan_without_a_place_finds_it_after_a_bridging_scan_half_way_back() -> None:

@@ -153,7 +153,7 @@ def test_an_exception_that_escapes_the_tick_is_a_fault_and_the_base_stands_still
     assert [job.cancelled for job in play.script.jobs if job.what == "drive"] == [False, True]
 
 
-@pytest.mark.parametrize("kind", ["node", "registered", "drive", "failure", "room_ended"])
+@pytest.mark.parametrize("kind", ["node", "registered", "drive", "declined", "room_ended"])
 def test_a_journal_that_cannot_be_written_is_a_fault_and_the_base_stands_still(kind: str) -> None:
     """The disk is full. Nothing can be put on record any more, not even that; the robot stops all the same."""
     play = Play(row(2))

@@ -30,7 +30,7 @@ def test_a_scan_that_fails_twice_works_from_a_spot_nearby() -> None:
     view, nearby = play.scanner.taken["S03"][:2, 3], play.scanner.taken["S04"][:2, 3]
     assert np.isclose(np.linalg.norm(view - nearby), 0.5)
     assert np.linalg.norm(nearby) < np.linalg.norm(view)
-    assert play.events.codes == ["SCAN_FAILED", "SCAN_FAILED", "NO_DOOR_LEFT"]
+    assert play.events.codes == ["SCAN_FAILED", "SCAN_FAILED"]
 
 
 def test_the_drive_nearby_does_not_claim_the_pose_of_the_last_scan() -> None:
@@ -68,7 +68,7 @@ def test_a_scan_that_never_ends_is_cancelled_and_taken_again() -> None:
     play = Play(row(1))
     play.script.answer("take", HANG, [1])
     assert play.run() == "complete"
-    assert play.events.codes == ["SCAN_TIMEOUT", "NO_DOOR_LEFT"]
+    assert play.events.codes == ["SCAN_TIMEOUT"]
     assert [job.cancelled for job in play.script.jobs if job.what == "take"] == [True, False, False]
     assert play.clock.now() > play.settings.scanning.timeout_s
 
@@ -79,7 +79,7 @@ def test_a_broken_transfer_a_refused_cloud_and_no_floor_are_all_reasons_to_scan_
     play.script.fail("fetch", "XFER_BROKEN", [1]).fail("validate_scan", "SCAN_TILT", [2])
     play.script.fail("align_scan", "ALIGN_NO_FLOOR", [2])
     assert play.run() == "complete"
-    assert play.events.codes == ["XFER_BROKEN", "SCAN_TILT", "ALIGN_NO_FLOOR", "NO_DOOR_LEFT"]
+    assert play.events.codes == ["XFER_BROKEN", "SCAN_TILT", "ALIGN_NO_FLOOR"]
     assert play.calls["take"] == 5
     assert len(play.survey.scans) == 2
 

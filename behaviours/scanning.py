@@ -8,11 +8,36 @@ from py_trees.common import Status
 
 from behaviours.job import JobLeaf
 from behaviours.keys import Key
+from behaviours.leaf import Leaf
 from behaviours.survey import CurrentScan
 from drivers.interfaces import ScanReceipt, ScanSettings
 from drivers.jobs import Job
 from perception.failure import FailureError
 from perception.findings import Alignment
+
+
+class StandStill(Leaf):
+    """Waits for telemetry that is newer than its first tick and says that the wheels are at rest.
+
+    A drive that has just ended was sensed at the beginning of this tick, when the base still rolled: a scan ordered
+    now would carry an odometry that is not its own.
+    """
+
+    reads = (Key.BASE,)
+    patience_s = 20.0
+
+    def begin(self) -> None:
+        self._began = self.services.clock.now()
+        self._sensed_anew = False
+
+    def step(self) -> Status:
+        base = self.read(Key.BASE)
+        if self._sensed_anew and base is not None and not base.moving:
+            return Status.SUCCESS
+        self._sensed_anew = True
+        if self.services.clock.now() - self._began > self.patience_s:
+            raise FailureError("BASE_LOST" if base is None else "SCAN_MOVED", "the base does not come to rest")
+        return Status.RUNNING
 
 
 class TakeScan(JobLeaf):

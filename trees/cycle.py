@@ -14,7 +14,7 @@ from behaviours.mapping import (
     SegmentRoom,
 )
 from behaviours.recover import Recover
-from behaviours.scanning import AlignScan, FetchScan, TakeScan, ValidateScan
+from behaviours.scanning import AlignScan, FetchScan, StandStill, TakeScan, ValidateScan
 from behaviours.settings import Settings
 from behaviours.viewing import AssessRoom, ChooseView
 from trees import recovery
@@ -58,6 +58,7 @@ def scan(settings: Settings) -> Behaviour:
             "scan here",
             primary=steps(
                 "take a scan",
+                StandStill("stand still"),
                 TakeScan("take the scan"),
                 FetchScan("fetch the scan"),
                 ValidateScan("validate the scan"),

@@ -130,9 +130,9 @@ def test_a_driver_that_raises_when_polled_does_not_keep_its_job() -> None:
         raise OSError("the link is gone")
 
     def breaks(play: Play, ticks: int) -> None:
-        job = play.script.jobs[-1]
-        if job.what == "drive":
-            job.poll = broken  # type: ignore[assignment]
+        for job in play.script.jobs[-1:]:
+            if job.what == "drive":
+                job.poll = broken  # type: ignore[assignment]
 
     play = Play(row(1), each_tick=breaks)
     assert play.run() == "incomplete"

@@ -11,8 +11,8 @@ from perception.segmentation import Interval, histogram, one_per_voxel, signific
 
 TILT_LIMIT = np.deg2rad(6.0)
 """Largest roll and pitch looked for, radians."""
-HEIGHTS = (0.5, 2.2)
-"""Where the optical centre may be above the floor, metres."""
+HEIGHTS = (1.1, 1.5)
+"""Where the optical centre may be above the floor, metres: it is mounted at 1.3 m. Desks and ground lie elsewhere."""
 _STAGES = ((1.0, 0.08, 6), (0.25, 0.04, 2), (0.05, 0.02, 1))
 """(step in degrees, bin in metres, hills kept), coarse to fine; each stage searches one step of the one before."""
 RANGE_ERROR = 0.01
@@ -179,7 +179,7 @@ def _floor(sample: NDArray[np.floating], normal: NDArray[np.floating], heights: 
             levels=[-level.peak for level in levels],
             sectors=around,
         )
-    return next(level for level, seen in zip(levels, around, strict=True) if seen >= 0.6 * max(around))
+    return next(level for level, seen in zip(levels, around, strict=True) if seen >= 0.5 * max(around))
 
 
 def _ceiling(z: NDArray[np.floating]) -> Interval | None:

@@ -19,6 +19,8 @@ CELL = 0.05
 
 _NEAR_PLANE = 0.05
 _BEYOND = 0.15
+_JUST_BEHIND, _FAR_ASIDE = 0.02, 0.10
+"""A beam along the wall that ends this far behind it and aside of where it crossed went through: on a leaf, a reveal."""
 _MIN_INCIDENCE = 0.10
 
 
@@ -157,8 +159,10 @@ def _count(
                 if distance > range_min:
                     counts[3, i, k] += 1
                 continue
-            depth = (measured - distance) * abs(through)
-            if depth > _BEYOND:
+            beyond = measured - distance
+            depth = beyond * abs(through)
+            aside = beyond * abs(du * ce + pose[0, 2] * se)
+            if depth > _BEYOND or (depth > _JUST_BEHIND and aside > _FAR_ASIDE):
                 counts[1, i, k] += 1
             elif depth < -_NEAR_PLANE:
                 counts[2, i, k] += 1

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseInfo, DriveGoal, DriveReport
 from drivers.jobs import Failed, Outcome, Running
+from drivers.messages import PROTOCOL
 from drivers.simulated.clock import Clock
 from drivers.simulated.drive import Drive
 from drivers.simulated.lidar import Lidar, Sweep
@@ -19,7 +20,6 @@ from drivers.simulated.world import World
 from perception import transforms
 from perception.failure import FailureError
 
-_PROTOCOL = 1
 _PLANNING = Running(0.0, "planning")
 _BATTERY_SECONDS = 8 * 3600.0
 _MAX_LAG = 2.0
@@ -71,7 +71,7 @@ class SimulatedBase:
         return self._plant.collisions
 
     def info(self) -> BaseInfo:
-        return BaseInfo(self._profile.model, f"SIM-{self._seed:04d}", _PROTOCOL, self._profile.footprint)
+        return BaseInfo(self._profile.model, f"SIM-{self._seed:04d}", PROTOCOL, self._profile.footprint)
 
     def telemetry(self) -> BaseTelemetry:
         """The state as of the last step."""

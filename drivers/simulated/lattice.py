@@ -12,6 +12,7 @@ HEADINGS = 32
 TURN_LEFT, TURN_RIGHT, FORWARD, FORWARD_LEFT, FORWARD_RIGHT, BACKWARD = range(6)
 _TURN_COST, _BEND_COST, _BACKWARD_FACTOR = 0.2, 0.05, 2.0
 _STRAIN_FACTOR = 1.6
+_BLOCKED = 100
 _MAX_OFFSET = 5
 
 
@@ -84,7 +85,7 @@ def footprint_free(
 
 
 @njit(cache=True)
-def _strain(
+def _tightness(
     row: int,
     column: int,
     angle: float,
@@ -93,13 +94,13 @@ def _strain(
     obstacle: NDArray[np.bool_],
     clearance: NDArray[np.float32],
     resolution: float,
-) -> float:
-    """What a metre costs more for want of space at a pose; inf where not even the last of the margins fits."""
+) -> int:
+    """How many of the margins, widest first, do not fit round the footprint at a pose."""
     for i in range(len(margins)):
         length, width = half[0] + margins[i], half[1] + margins[i]
         if footprint_free(row, column, angle, length, width, obstacle, clearance, resolution):
-            return _STRAIN_FACTOR**i
-    return np.inf
+            return i
+    return len(margins)
 
 
 @njit(cache=True)
@@ -119,6 +120,7 @@ def search(
     resolution: float,
     cost: NDArray[np.float32],
     came: NDArray[np.int8],
+    tight: NDArray[np.int8],
     max_expansions: int,
 ) -> NDArray[np.int64]:
     """A* from a pose to a cell; the rows (row, column, heading, move that led there), empty if there is no way.
@@ -131,13 +133,13 @@ def search(
             dearer.
         escape_radius: distance from the start within which no margin need fit, for the robot may stand closer to
             something than it would ever go.
-        cost, came: zeros, one per cell and heading; 0 stands for "not reached".
+        cost, came, tight: zeros, one per cell and heading; 0 stands for "not reached" and "not looked at".
     """
     rows, columns = obstacle.shape
     count = len(angles)
     first = (start[0] * columns + start[1]) * count + start[2]
     cost[first] = 1e-6
-    with_none = np.append(margins, 0.0)
+    tried = np.append(margins, 0.0)
     heap = [(to_go[start[0], start[1]] * np.float32(resolution), first)]
     expansions = 0
     while heap and expansions < max_expansions:
@@ -174,16 +176,23 @@ def search(
                 step = _TURN_COST
             if cost[after] != 0.0 and cost[state] + step >= cost[after]:
                 continue
-            strain = 1.0
+            tightness = 0
             for k in range(1, steps + 1):
                 rk = row + int(np.rint((r - row) * k / steps))
                 ck = column + int(np.rint((c - column) * k / steps))
-                angle = angles[h] if 2 * k > steps else angles[heading]
+                hk = h if 2 * k > steps else heading
+                pose = (rk * columns + ck) * count + hk
+                if tight[pose] == 0:
+                    tight[pose] = 1 + _tightness(rk, ck, angles[hk], half, tried, obstacle, clearance, resolution)
+                tightness = max(tightness, tight[pose] - 1)
                 escaping = np.hypot(rk - start[0], ck - start[1]) * resolution < escape_radius
-                tried = with_none if escaping else margins
-                strain = max(strain, _strain(rk, ck, angle, half, tried, obstacle, clearance, resolution))
-            total = np.float32(cost[state] + step * strain)
-            if np.isfinite(strain) and (cost[after] == 0.0 or total < cost[after]):
+                if tightness > len(margins) or (tightness == len(margins) and not escaping):
+                    tightness = _BLOCKED
+                    break
+            if tightness == _BLOCKED:
+                continue
+            total = np.float32(cost[state] + step * _STRAIN_FACTOR**tightness)
+            if cost[after] == 0.0 or total < cost[after]:
                 cost[after] = total
                 came[after] = move + 1
                 heapq.heappush(heap, (np.float32(total + to_go[r, c] * resolution), after))

@@ -108,6 +108,7 @@ class Planner:
             grid.resolution,
             np.zeros(states, np.float32),
             np.zeros(states, np.int8),
+            np.zeros(states, np.int8),
             _MAX_EXPANSIONS,
         )
 

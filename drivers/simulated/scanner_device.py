@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.interfaces import ScannerInfo, ScanSettings
 from drivers.jobs import Done, Failed, Outcome, Running
+from drivers.messages import PROTOCOL
 from drivers.simulated.clock import Clock
 from drivers.simulated.plant import Stance
 from drivers.simulated.scanner import SimulatedScanner
@@ -17,7 +18,6 @@ from perception.failure import Failure, FailureError
 from perception.scan import Scan
 from perception.transforms import Matrix
 
-_PROTOCOL = 1
 _KEPT = 3
 _TRUNCATED_SHARE = 0.1
 
@@ -65,7 +65,7 @@ class SimulatedScannerDevice:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="scanner")
 
     def info(self) -> ScannerInfo:
-        return ScannerInfo(self._scanner.profile.model, f"SIM-{self._scanner.seed:04d}", _PROTOCOL)
+        return ScannerInfo(self._scanner.profile.model, f"SIM-{self._scanner.seed:04d}", PROTOCOL)
 
     def start(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> None:
         """Begin a scan; nothing happens where one of this name is under way or done. One that failed is taken anew."""

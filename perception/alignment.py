@@ -13,8 +13,8 @@ TILT_LIMIT = np.deg2rad(6.0)
 """Largest roll and pitch looked for, radians."""
 HEIGHTS = (1.1, 1.5)
 """Where the optical centre may be above the floor, metres: it is mounted at 1.3 m. Desks and ground lie elsewhere."""
-_STAGES = ((1.0, 0.08, 6), (0.25, 0.04, 2), (0.05, 0.02, 1))
-"""(step in degrees, bin in metres, hills kept), coarse to fine; each stage searches one step of the one before."""
+_STAGES = ((1.0, 0.08, 4), (0.25, 0.03, 2), (0.05, 0.015, 1))
+"""(step in degrees, bin in metres, hills kept), coarse to fine; each searches 1.5 steps of the one before."""
 RANGE_ERROR = 0.01
 """Largest constant error of the ranges that is believed, metres."""
 _SECTORS = 36
@@ -126,14 +126,14 @@ def _vertical(roll: float, pitch: float) -> NDArray[np.float64]:
 def _brute_force(sample: NDArray[np.floating], tilt_limit: float) -> tuple[float, float]:
     """Roll and pitch of the highest maximum; several hills are climbed, for a coarse bin blurs steps into slopes."""
     near = sample[np.hypot(sample[:, 0], sample[:, 1]) < 15.0]
-    near = _some(near if len(near) else sample, 15_000)
+    near = _some(near if len(near) else sample, 10_000)
     hills, reach = np.zeros((1, 2)), tilt_limit
     for step_degrees, width, keep in _STAGES:
         step = np.deg2rad(step_degrees)
         offsets = np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1) * step
         found = [_climb(near, hill, offsets, width, keep) for hill in hills]
         angles, scores = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        hills, reach = angles[np.argsort(-scores, kind="stable")[:keep]], step
+        hills, reach = angles[np.argsort(-scores, kind="stable")[:keep]], 1.5 * step
     return float(hills[0, 0]), float(hills[0, 1])
 
 

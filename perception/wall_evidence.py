@@ -20,7 +20,7 @@ CELL = 0.05
 _NEAR_PLANE = 0.05
 _BEYOND = 0.15
 _JUST_BEHIND, _FAR_ASIDE = 0.02, 0.10
-"""A beam along the wall that ends this far behind it and aside of where it crossed went through: on a leaf, a reveal."""
+"""A beam along the wall that ends this far behind it, and aside of where it crossed, went through: to a leaf, say."""
 _MIN_INCIDENCE = 0.10
 
 

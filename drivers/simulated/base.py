@@ -29,8 +29,8 @@ class SimulatedBase:
     """A base in a world. Every public method may be called from any thread and returns at once.
 
     A :class:`~drivers.devices.BaseDevice`. Its time is advanced by :meth:`step`, from :meth:`run` on a clock or by a
-    test. Inside, the drive sees odometry and
-    sweeps only; the true pose leaves this class through :meth:`stance`, for the scanner, and the truth log.
+    test. Inside, the drive sees odometry and sweeps only; the truth leaves this class through :meth:`stance`, for the
+    scanner, and through the truth log.
 
     Args:
         world: where it stands, at ``world.start``.

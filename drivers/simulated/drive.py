@@ -23,7 +23,7 @@ _HELD_TOO_LONG = 0.6
 _PATIENCE, _SHORT_PATIENCE = 20.0, 2.0
 _BACK_UP, _BACK_UP_SPEED, _BACK_UP_TIME = 0.3, 0.12, 6.0
 _ROUNDS = 4
-_STUCK_AFTER, _STUCK_WITHIN = 12.0, 0.03
+_STUCK_AFTER, _STUCK_WITHIN, _TIMES_STUCK = 8.0, 0.03, 2
 _ANYWHERE_TOLERANCE, _DOORWAY_TOLERANCE = 0.06, 0.03
 _CORRECTIONS = 2
 _TRACK_STEP, _TRACK_TURN = 0.05, np.deg2rad(5.0)
@@ -62,7 +62,7 @@ class Drive:
         self._track: list[Pose] = [localiser.pose]
         self._distance = 0.0
         self._last = localiser.pose
-        self._rounds = self._corrections = 0
+        self._rounds = self._corrections = self._times_stuck = 0
         self._now = self._since = self._looked = self._moved_at = now
         self._moved_from = localiser.pose
         self._held_since: float | None = None
@@ -118,10 +118,18 @@ class Drive:
             self._enter(Phase.WAITING)
             return _REST
         if self._now - self._moved_at > _STUCK_AFTER:
-            self._fail("NAV_STUCK", f"no progress for {_STUCK_AFTER:.0f} s")
-            return _REST
+            return self._get_unstuck()
         self.outcome = Running(self._follower.fraction, self.phase)
         return allowed
+
+    def _get_unstuck(self) -> Command:
+        """The way is neither blocked nor made: back off and plan anew, a few times."""
+        self._times_stuck += 1
+        if self._times_stuck > _TIMES_STUCK:
+            self._fail("NAV_STUCK", f"no progress for {_STUCK_AFTER:.0f} s, after {_TIMES_STUCK} other starts")
+        else:
+            self._enter(Phase.BACKING_UP)
+        return _REST
 
     def _wait(self) -> Command:
         """Stand still until the way is free, or patience ends and another way is looked for."""

@@ -15,7 +15,7 @@ Pose = tuple[float, float, float]
 _MARGINS = np.array([0.12, 0.08, 0.05, 0.03, 0.01])
 _ESCAPE_RADIUS = 0.35
 _HEURISTIC_SLACK = 0.002
-_GOAL_SLACK = 0.08
+_GOAL_SLACK, _DOORWAY_SLACK = 0.08, 0.055
 _GOAL_MARGINS = (0.05, 0.03, 0.01)
 _MAX_EXPANSIONS = 600_000
 
@@ -131,10 +131,11 @@ class Planner:
     ) -> tuple[int, int] | None:
         """The goal's cell, or one within a few centimetres of it where the footprint fits better."""
         headings = self._angles if goal[2] is None else np.array([goal[2], self._angles[self._heading(goal[2])]])
+        slack = _GOAL_SLACK if goal[2] is None else _DOORWAY_SLACK
         reach = np.arange(-1, 2) * grid.resolution
         around = grid.cells_of(np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2) + goal[:2])
         off = np.linalg.norm(grid.centres_of(around) - goal[:2], axis=1)
-        near = around[np.argsort(off, kind="stable")][: np.count_nonzero(off < _GOAL_SLACK)]
+        near = around[np.argsort(off, kind="stable")][: np.count_nonzero(off < slack)]
         for margin in _GOAL_MARGINS:
             half = self._half[0] + margin, self._half[1] + margin
             for row, column in near.tolist():

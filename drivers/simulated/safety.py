@@ -71,7 +71,7 @@ def _meets(
             x, y = np.cos(yaw) * dx + np.sin(yaw) * dy, np.cos(yaw) * dy - np.sin(yaw) * dx
             depth = min(length - abs(x), width - abs(y))
             # What is already within the margin must only not come nearer, or the robot could never leave.
-            if depth > 0.0 and depth > now + 0.002:
+            if depth > 0.0 and depth > now + 2e-4:
                 threats += 1
                 break
         if threats == needed:

@@ -28,7 +28,7 @@ class Limits:
     extent: tuple[float, float] = (0.5, 400.0)
     median_range: tuple[float, float] = (0.3, 60.0)
     return_share: float = 0.15
-    empty_sector: float = np.deg2rad(200.0)
+    empty_sector: float = np.deg2rad(240.0)
     cut_sector: float = np.deg2rad(75.0)
     cut_rows: float = 0.02
 

@@ -8,13 +8,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from drivers.simulated.footprint import covers_any
-from drivers.simulated.lidar import Points, Sweep
+from drivers.simulated.lidar import Sweep
 from perception.grids import Cell, Grid
 
 _EXPLAINED = 0.12
 _MEMORY_RANGE = 6.0
-_BELOW = 0.1
-_SECTORS = 240
 _SOFT_HEIGHT, _SOFT_FROM, _SOFT_WIDTH = 3.0, 0.35, 0.15
 _UNKNOWN_COST = 3.0
 
@@ -52,10 +50,8 @@ class CostMap:
         self._remember_overhangs(pose, sweep)
 
     def _remember_overhangs(self, pose: tuple[float, float, float], sweep: Sweep) -> None:
-        """Table tops are kept, for the plane sees through below them; what stands on the floor is the plane's."""
-        seen = sweep.overhang
-        hanging = seen[np.linalg.norm(seen, axis=1) < _ranges(sweep.plane)[_sector(seen)] - _BELOW]
-        hanging = hanging[(np.abs(hanging) > self._half).any(axis=1)]
+        """Table tops are kept for good: that the plane sees through below them says nothing, and they do not walk."""
+        hanging = sweep.overhang[(np.abs(sweep.overhang) > self._half).any(axis=1)]
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         cells = self.grid.cells_of(hanging @ np.array([[cos, sin], [-sin, cos]]) + pose[:2])
         rows, columns = cells[self.grid.contains(cells)].T
@@ -80,18 +76,6 @@ class CostMap:
         clearance = _clearance(obstacle, self.grid.resolution)
         price = 1.0 + _SOFT_HEIGHT * np.exp(-np.maximum(clearance - _SOFT_FROM, 0.0) / _SOFT_WIDTH)
         return Costs(clearance, obstacle, (price + _UNKNOWN_COST * self._unknown).astype(np.float32))
-
-
-def _sector(points: Points) -> NDArray[np.int64]:
-    """Direction of each point, in steps of a turn divided by ``_SECTORS``."""
-    return np.rint(np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS
-
-
-def _ranges(points: Points) -> NDArray[np.float64]:
-    """Distance of the nearest point in each sector, inf where there is none."""
-    ranges = np.full(_SECTORS, np.inf)
-    np.minimum.at(ranges, _sector(points), np.linalg.norm(points, axis=1))
-    return ranges
 
 
 def _clearance(obstacle: NDArray[np.bool_], resolution: float) -> NDArray[np.float32]:

@@ -12,6 +12,9 @@ from drivers.simulated.surroundings import Surroundings
 Points = NDArray[np.float64]
 """``(N, 2)`` in base_link, metres."""
 
+_BELOW = 0.1
+_SECTORS = 240
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -19,7 +22,8 @@ class Sweep:
 
     Args:
         plane: where the planar safety scanner hit something.
-        overhang: where the guard saw something above the floor and below the top of the mast.
+        overhang: where the guard saw something above the floor and below the top of the mast, and the plane nothing
+            below it: the edge of a table, not a person.
     """
 
     plane: Points
@@ -53,7 +57,21 @@ class Lidar:
         low, high = self._guard.band
         height = guarded[:, 2] + guarded[:, 5] * far
         hanging = (height > low) & (height < high) & (far < self._guard.range_max)
-        return Sweep(planar[seen, 3:5] * near[seen, None], guarded[hanging, 3:5] * far[hanging, None])
+        standing = planar[seen, 3:5] * near[seen, None]
+        above = guarded[hanging, 3:5] * far[hanging, None]
+        return Sweep(standing, above[np.linalg.norm(above, axis=1) < _ranges(standing)[_sector(above)] - _BELOW])
+
+
+def _sector(points: Points) -> NDArray[np.int64]:
+    """Direction of each point, in steps of a turn divided by ``_SECTORS``."""
+    return np.rint(np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS
+
+
+def _ranges(points: Points) -> NDArray[np.float64]:
+    """Distance of the nearest point in each sector, inf where there is none."""
+    ranges = np.full(_SECTORS, np.inf)
+    np.minimum.at(ranges, _sector(points), np.linalg.norm(points, axis=1))
+    return ranges
 
 
 def _fan(columns: int, slopes: NDArray[np.float64], height: float) -> NDArray[np.float32]:

@@ -90,7 +90,7 @@ class GuardProfile:
         band: heights above the floor that matter, metres.
     """
 
-    columns: int = 96
+    columns: int = 120
     height: float = 1.25
     slopes: tuple[float, ...] = (-1.6, -1.2, -0.95, -0.78, -0.66, -0.56, -0.48, -0.42, -0.36, -0.2, 0.0, 0.15, 0.35)
     band: tuple[float, float] = (0.12, 1.5)

@@ -11,7 +11,8 @@ _MARGIN = 0.02
 _REACTION = 0.2
 # One or two may be noise; so near, even the leg of a chair is met by several beams.
 _HITS_THAT_COUNT = 3
-_OVERHANGS_THAT_COUNT = 2
+# The guard looks less closely, so that what it sees may reach a little further.
+_OVERHANG_MARGIN = 0.05
 _SCALES = (1.0, 0.6, 0.3, 0.12)
 
 
@@ -37,8 +38,9 @@ class SafetyMonitor:
         for scale in _SCALES:
             v, w = speed * scale, turn_rate * scale
             stopping = max(abs(v) / self._profile.acceleration, abs(w) / self._profile.turn_acceleration)
-            motion = v, w, _REACTION + stopping / 2, *self._half, _MARGIN
-            if not (_meets(plane, _HITS_THAT_COUNT, *motion) or _meets(overhang, _OVERHANGS_THAT_COUNT, *motion)):
+            motion = v, w, _REACTION + stopping / 2, *self._half
+            touches = _meets(plane, _HITS_THAT_COUNT, *motion, _MARGIN)
+            if not (touches or _meets(overhang, 1, *motion, _OVERHANG_MARGIN)):
                 return v, w
         return 0.0, 0.0
 

@@ -133,12 +133,23 @@ def test_no_pose_of_a_plan_touches_anything(x, y, yaw):
     assert np.hypot(*(path.poses[-1, :2] - (x, y))) < 0.1
 
 
+def test_a_table_top_is_an_overhang_and_a_cupboard_is_not():
+    table = ((1.0, -0.5, 0.7), (2.0, 0.5, 0.73), Surface.FURNITURE)
+    cupboard = ((-2.0, -0.5, 0.0), (-1.0, 0.5, 1.8), Surface.FURNITURE)
+    surroundings = Surroundings(world_of([*shell(-4, -4, 4, 4), table, cupboard]))
+    sweep = Lidar(surroundings, LidarProfile(), GuardProfile(), 0).sweep(0.0, 0.0, 0.0, ())
+    assert len(sweep.overhang) > 20
+    assert sweep.overhang[:, 0].min() > 0.9 and np.abs(sweep.overhang[:, 1]).max() < 0.6
+    ahead = np.abs(np.arctan2(sweep.plane[:, 1], sweep.plane[:, 0])) < 0.2
+    assert sweep.plane[ahead, 0].min() > 3.9
+
+
 def test_the_cost_map_forgets_who_has_gone_but_remembers_table_tops():
     cost_map = CostMap(Grid(np.full((80, 80), Cell.FREE, np.uint8), (0.0, 0.0), 0.05), FOOTPRINT)
     pose = (1.0, 2.0, 0.0)
     person = np.stack([np.full(9, 1.0), np.linspace(-0.2, 0.2, 9)], axis=1)
     wall = np.stack([np.full(400, 2.5), np.linspace(-2, 2, 400)], axis=1)
-    cost_map.observe(pose, Sweep(np.concatenate([person, wall]), person))
+    cost_map.observe(pose, Sweep(np.concatenate([person, wall]), NOTHING))
     assert cost_map.is_seen_under((2.0, 2.0, 0.0))
     cost_map.observe(pose, Sweep(wall, NOTHING))
     assert not cost_map.is_seen_under((2.0, 2.0, 0.0))

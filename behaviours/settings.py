@@ -34,7 +34,7 @@ class RoomSettings:
 
     growing_rate: float = 0.04
     occluded_decrease_rate: float = 0.05
-    predicted_rate: float = 0.004
+    predicted_rate: float = 0.008
     max_scans: int = 12
     voxel_m: float = 0.10
     labeller: Literal["range", "paper"] = "range"

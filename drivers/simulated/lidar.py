@@ -12,8 +12,8 @@ from drivers.simulated.surroundings import Surroundings
 Points = NDArray[np.float64]
 """``(N, 2)`` in base_link, metres."""
 
-_BELOW = 0.1
-_SECTORS = 240
+_BELOW = 0.03
+_SECTORS = 360
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,12 @@ class Lidar:
         down = _fan(guard.columns, np.asarray(guard.slopes), guard.height)
         self._planar = len(flat)
         self._rays = np.concatenate([flat, down])
+        self._sigma = np.repeat([plane.noise_sigma, guard.noise_sigma], [len(flat), len(down)])
 
     def sweep(self, x: float, y: float, yaw: float, bodies: tuple[Body, ...]) -> Sweep:
         """What is seen from a true pose."""
         exact = self._surroundings.distances(_placed(self._rays, x, y, yaw), bodies)
-        ranges = exact + self._rng.normal(0.0, self._plane.noise_sigma, len(exact))
+        ranges = exact + self._rng.normal(0.0, self._sigma)
         planar, guarded = self._rays[: self._planar], self._rays[self._planar :]
         near, far = ranges[: self._planar], ranges[self._planar :]
         seen = near < self._plane.range_max

@@ -95,6 +95,7 @@ class GuardProfile:
     slopes: tuple[float, ...] = (-1.6, -1.2, -0.95, -0.78, -0.66, -0.56, -0.48, -0.42, -0.36, -0.2, 0.0, 0.15, 0.35)
     band: tuple[float, float] = (0.12, 1.5)
     range_max: float = 2.5
+    noise_sigma: float = 0.005
 
 
 @dataclass(frozen=True)

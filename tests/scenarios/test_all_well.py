@@ -77,9 +77,9 @@ def test_a_second_door_to_a_room_is_known_to_lead_there() -> None:
 
 
 def test_a_room_whose_views_promise_nothing_ends_without_a_confirming_scan() -> None:
-    """After one scan the best view would show 500 of 160,000 seen voxels: the room is complete."""
+    """After one scan the best view would show 500 of 80,000 seen voxels: the room is complete."""
     play = Play(row(1))
-    play.perception.seen = [160_000]
+    play.perception.seen = [80_000]
     assert play.run() == "complete"
     assert play.rooms == {"A": ("complete", "predicted_gain")}
     assert play.calls["take"] == 1

@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,6 +24,8 @@ PlacedScans = Sequence[tuple[str, Sequence[Sequence[float]]]]
 
 _WHOLE_SCANS = 12
 _THINNED = 0.025
+_OWN_BODY = (0.50, 0.35)
+"""Half the length and width, metres, of what the robot covers, with a margin for tilt and noise."""
 
 
 class Library:
@@ -42,9 +45,10 @@ class Library:
         self._kept: dict[tuple[str, str], Any] = {}
 
     def scan(self, scan_id: str) -> Scan:
-        """A validated scan, whole."""
+        """A validated scan, whole but for what the scanner saw of the robot that carries it."""
         if scan_id not in self._scans:
-            self._scans[scan_id] = validate(scan_file.read(self.run.scan_file(scan_id)), self.limits).scan
+            valid = validate(scan_file.read(self.run.scan_file(scan_id)), self.limits)
+            self._scans[scan_id] = without_own_body(valid.scan)
         self._scans.move_to_end(scan_id)
         while len(self._scans) > _WHOLE_SCANS:
             self._scans.popitem(last=False)
@@ -79,6 +83,15 @@ class Library:
             self._kept[kind, scan_id] = make()
         value: T = self._kept[kind, scan_id]
         return value
+
+
+def without_own_body(scan: Scan) -> Scan:
+    """A scan without the returns from over the base's footprint, below the scanner: a short minimum range lets them
+    in, and they would wall the robot in wherever it stands."""
+    x, y, z = transforms.apply(scan.base_from_scanner, scan.points).T
+    length, width = _OWN_BODY
+    own = (np.abs(x) < length) & (np.abs(y) < width) & (z > 0) & (z < scan.base_from_scanner[2, 3])
+    return replace(scan, points=scan.points[~own], intensity=scan.intensity[~own], beam=scan.beam[~own])
 
 
 def matrix(pose: Sequence[Sequence[float]]) -> Matrix:

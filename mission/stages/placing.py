@@ -13,6 +13,9 @@ from perception.transforms import Matrix
 from perception.validation import validate
 
 _NEARBY = 20.0
+_MOUNTING = 0.2
+"""How far the floor may be from where the scanner's mounting puts it, metres: tilt, and a step on the way."""
+_ANY_HEIGHT = (0.2, 2.2)
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,10 @@ def validate_scan(library: Library, scan_id: str) -> ScanSummary:
 
 
 def align_scan(library: Library, scan_id: str) -> Alignment:
-    return alignment.align(library.scan(scan_id).points)
+    scan = library.scan(scan_id)
+    mounted = float(scan.base_from_scanner[2, 3])
+    heights = (mounted - _MOUNTING, mounted + _MOUNTING) if mounted > _MOUNTING else _ANY_HEIGHT
+    return alignment.align(scan.points, scanner_heights=heights)
 
 
 def anchor_scan(library: Library, scan_id: str) -> Registration:

@@ -16,7 +16,7 @@ lint: setup
 	.venv/bin/lint-imports
 
 test: lint
-	.venv/bin/pytest
+	.venv/bin/pytest -n 2
 
 # The tables of the README: hours of missions.
 campaign: setup

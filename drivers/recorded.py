@@ -60,9 +60,11 @@ def scan_of(points: NDArray[np.floating], scan_id: str) -> Scan:
 
 def _read(path: Path, scan_id: str) -> Recorded:
     try:
-        if path.suffix.lower() == ".3d":
-            return Recorded(scan_of(_read_3dtk(path), scan_id), _read_3dtk_pose(path.with_suffix(".pose")))
-        return Recorded(scan_of(_read_cloud(path), scan_id), None)
+        is_3dtk = path.suffix.lower() == ".3d"
+        points = _read_3dtk(path) if is_3dtk else _read_cloud(path)
+        if len(points) == 0:
+            raise ValueError("expected points, found none")
+        return Recorded(scan_of(points, scan_id), _read_3dtk_pose(path.with_suffix(".pose")) if is_3dtk else None)
     except (ValueError, OSError) as error:
         raise FailureError("RECORDED_BROKEN", f"{path}: {error}") from error
 
@@ -71,15 +73,12 @@ def _read_cloud(path: Path) -> NDArray[np.float64]:
     import open3d as o3d
 
     points = np.asarray(o3d.io.read_point_cloud(path).points)
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) == 0:
-        raise ValueError("expected points, found none")
-    return points
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def _read_3dtk(path: Path) -> NDArray[np.float64]:
     """Points in metres, right-handed; what is nearer or further than the scanner measures is no return."""
-    points = np.loadtxt(path, usecols=(0, 1, 2)) @ _RIGHT_FROM_LEFT_HANDED.T / 100
+    points = np.loadtxt(path, usecols=(0, 1, 2), ndmin=2) @ _RIGHT_FROM_LEFT_HANDED.T / 100
     ranges = np.linalg.norm(points, axis=1)
     return points[(ranges > _3DTK_RANGES[0]) & (ranges < _3DTK_RANGES[1])]
 

@@ -2,7 +2,10 @@
 
 import json
 import math
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,9 +38,9 @@ Overrides = Annotated[list[str] | None, typer.Option("--set", help="Override a s
 def simulate(
     world: Annotated[str, typer.Argument(help="school, procedural, a plan .yaml, or a mesh .glb .obj .ply .stl .ifc")],
     seed: Annotated[int, typer.Option(help="Seed of furniture, noise, drift and slips.")] = 0,
-    step: Annotated[float, typer.Option(help="Angle between beams, degrees.")] = 0.2,
+    step: Annotated[float, typer.Option(help="Angle between beams, degrees.", min=0.01, max=5.0)] = 0.2,
     profile: Annotated[str, typer.Option(help="Scanner: vz-400 or vz-400i.")] = "vz-400",
-    speed: Annotated[float, typer.Option(help="Simulated seconds for one second of the wall.")] = 10.0,
+    speed: Annotated[float, typer.Option(help="Simulated seconds for one second of the wall.", min=0.1)] = 10.0,
     scenario: Annotated[Path | None, typer.Option(help="YAML of people in the way and faults.")] = None,
     up: Annotated[str | None, typer.Option(help="Mesh only: its up axis, z or y.")] = None,
     floor: Annotated[float | None, typer.Option(help="Mesh only: height of the floor in the file, metres.")] = None,
@@ -115,7 +118,8 @@ def report(run_folder: Annotated[Path, typer.Argument(help="A run folder.")]) ->
     """Write report.html and report.json of a run again, with its pictures."""
     from mission.report import write_report
 
-    typer.echo(write_report(_existing(run_folder)))
+    with _refusals():
+        typer.echo(write_report(_existing(run_folder)))
 
 
 @app.command()
@@ -127,7 +131,8 @@ def evaluate(
     """Compare a simulated mission with the truth: poses, rooms, doors, and how much was sensed."""
     from mission.evaluation import evaluate_run
 
-    evaluation = evaluate_run(_existing(run_folder), world)
+    with _refusals():
+        evaluation = evaluate_run(_existing(run_folder), world)
     typer.echo(json.dumps(evaluation.summary(), indent=None if as_json else 2))
 
 
@@ -140,7 +145,8 @@ def process(
     """Put scans that somebody took through the stages of the paper: align, register, map, label; to a report."""
     from mission.process import process_folder
 
-    result = process_folder(_existing(folder), out)
+    with _refusals():
+        result = process_folder(_existing(folder), out)
     typer.echo(json.dumps(result, indent=None if as_json else 2))
 
 
@@ -177,7 +183,8 @@ def agent_scanner(
     from drivers.simulated.agents import run_scanner_agent
     from drivers.wire.endpoints import Endpoints
 
-    run_scanner_agent(world, truth, plant, Endpoints(control, bulk), profile, seed, speed, scenario)
+    with _refusals():
+        run_scanner_agent(world, truth, plant, Endpoints(control, bulk), profile, seed, speed, scenario)
 
 
 @agent.command("base")
@@ -195,7 +202,8 @@ def agent_base(
     from drivers.simulated.agents import run_base_agent
     from drivers.wire.endpoints import Endpoints
 
-    run_base_agent(world, truth, plant, Endpoints(control, telemetry=telemetry), seed, speed, scenario)
+    with _refusals():
+        run_base_agent(world, truth, plant, Endpoints(control, telemetry=telemetry), seed, speed, scenario)
 
 
 def main() -> None:
@@ -205,17 +213,19 @@ def main() -> None:
 
 def _finish(mission: Any, as_json: bool) -> None:
     """Run a mission, print its summary, and leave with the exit code of its outcome."""
-    from mission.config import ConfigError
     from mission.run import UnreachableError
-    from perception.failure import FailureError
 
+    # Before the tick loop listens to the signals, and after it, both end the command the same way.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        summary = mission()
-    except (ConfigError, FailureError) as error:
-        _refuse(str(error))
+        with _refusals():
+            summary = mission()
     except UnreachableError as error:
         typer.echo(f"unreachable: {error}", err=True)
         raise typer.Exit(UNREACHABLE) from error
+    except KeyboardInterrupt as interrupt:
+        typer.echo("aborted", err=True)
+        raise typer.Exit(EXIT_CODES["aborted"]) from interrupt
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:
@@ -224,6 +234,18 @@ def _finish(mission: Any, as_json: bool) -> None:
         typer.echo(rooms)
         typer.echo(f"{summary.run}/report.html")
     raise typer.Exit(EXIT_CODES[summary.outcome])
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """What a command was given and cannot use ends it with one plain message instead of a traceback."""
+    from mission.config import ConfigError
+    from perception.failure import FailureError
+
+    try:
+        yield
+    except (ConfigError, FailureError) as error:
+        _refuse(str(error))
 
 
 def _display(as_json: bool) -> Any:

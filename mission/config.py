@@ -85,7 +85,10 @@ def _apply(data: dict[str, Any], override: str) -> None:
         data = data.setdefault(name, {})
         if not isinstance(data, dict):
             raise ConfigError(f"--set {override}: {name} is a value, not a group of keys")
-    data[last] = yaml.safe_load(value)
+    try:
+        data[last] = yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {override}: the value is not YAML") from error
 
 
 def _unknown_keys(data: Mapping[str, Any], model: type, above: str = "") -> Iterable[tuple[str, list[str]]]:

@@ -9,6 +9,7 @@ from mission.export.ros_map import write_ros_map
 from mission.report import write_report
 from mission.report.run import read_run
 from mission.store import RunFolder
+from perception.failure import FailureError
 
 
 def finish(folder: RunFolder) -> Path:
@@ -25,7 +26,10 @@ def _export_map(folder: RunFolder) -> None:
 
 
 def _attempt(what: str, deliver: Callable[[], object]) -> None:
+    log = logging.getLogger("mission")
     try:
         deliver()
+    except FailureError as error:
+        log.warning("%s was not written: %s", what, error)
     except Exception:
-        logging.getLogger("mission").exception("%s was not written", what)
+        log.exception("%s was not written", what)

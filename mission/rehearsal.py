@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from drivers.wire.endpoints import Endpoints
-from mission.config import SiteConfig, parse_config
+from mission.config import ConfigError, SiteConfig, parse_config
 from mission.run import Display, Summary, UnreachableError, run_mission
 from mission.store import RunFolder, write_text
 
@@ -52,6 +54,7 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
 
     # Checked before anything is started: a wrong override must not cost a building.
     configure(plan, Endpoints(_ANY_PORT), Endpoints(_ANY_PORT))
+    _check_simulation(plan)
     world = load_world(plan.world, plan.seed, **plan.options)
     folder = RunFolder.create(out, plan.site)
     folder.simulation.mkdir()
@@ -80,6 +83,20 @@ def configure(plan: Rehearsal, scanner: Endpoints, base: Endpoints) -> SiteConfi
     return parse_config(data, "mission simulate", plan.overrides)
 
 
+def _check_simulation(plan: Rehearsal) -> None:
+    """What only the agents read is refused here too, with its name, and not by an agent that does not come up."""
+    from drivers.simulated.profile import SCANNERS
+    from drivers.simulated.scenario import load_scenario
+
+    if plan.profile not in SCANNERS:
+        raise ConfigError(f"--profile: expected {' or '.join(SCANNERS)}, found '{plan.profile}'")
+    if plan.scenario is not None:
+        try:
+            load_scenario(plan.scenario)
+        except (OSError, yaml.YAMLError, ValueError) as error:
+            raise ConfigError(f"--scenario {plan.scenario}: {error}") from error
+
+
 @contextmanager
 def agents(plan: Rehearsal, world: Path, truth: Path) -> Iterator[tuple[Endpoints, Endpoints]]:
     """Both agents as processes of their own, ended on the way out whatever happens."""
@@ -99,7 +116,8 @@ def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict
     log = log_folder / f"{name}.log"
     with (
         log.open("w") as errors,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+        # In a group of its own: Ctrl-C is the mission's to answer, and the base must still be there to be stopped.
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, process_group=0) as process,
     ):
         try:
             assert process.stdout is not None

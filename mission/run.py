@@ -109,7 +109,9 @@ def summarise(folder: RunFolder, state: dict[str, Any]) -> Summary:
 
 def preflight(scanner: Scanner, base: Base, journal: JsonLines) -> None:
     """Ask both agents who they are and wait for the base's telemetry; all must be there before anything moves."""
-    answers = {"scanner": wait_for(scanner.info(), _PREFLIGHT_S), "base": wait_for(base.info(), _PREFLIGHT_S)}
+    # Both are asked before either is waited for: two silent agents cost no more patience than one.
+    scanner_says, base_says = scanner.info(), base.info()
+    answers = {"scanner": wait_for(scanner_says, _PREFLIGHT_S), "base": wait_for(base_says, _PREFLIGHT_S)}
     silent = [f"{name}: {answer}" for name, answer in answers.items() if isinstance(answer, Failure)]
     if silent:
         raise UnreachableError("; ".join(silent))

@@ -1,8 +1,10 @@
 """The run folder: where each file of a mission is, and how it is written so that no half of one is ever seen."""
 
+import itertools
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,9 +27,15 @@ class RunFolder:
 
     @classmethod
     def create(cls, parent: Path, site: str) -> "RunFolder":
-        """A new folder named by the time and the site."""
+        """A new folder named by the time and the site; missions of the same second are numbered."""
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
-        return cls.at(parent / f"{stamp}_{site}")
+        parent.mkdir(parents=True, exist_ok=True)
+        for number in itertools.count(1):
+            path = parent / (f"{stamp}_{site}" if number == 1 else f"{stamp}_{site}_{number}")
+            with suppress(FileExistsError):
+                path.mkdir()
+                break
+        return cls.at(path)
 
     @classmethod
     def at(cls, path: Path) -> "RunFolder":

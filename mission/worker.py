@@ -1,5 +1,6 @@
 """The perception worker: one spawned process, one stage at a time, killed and made anew when it hangs or dies."""
 
+import signal
 import time
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
@@ -30,7 +31,9 @@ class PerceptionWorker:
         self._run = run
         self._journal = journal
         self._deadline = deadline
-        self._pool = ProcessPool(max_workers=1, context=get_context("spawn"))
+        # Ctrl-C reaches every process of a terminal; whether a stage ends for it is the mission's to say.
+        deaf = (signal.SIGINT, signal.SIG_IGN)
+        self._pool = ProcessPool(1, initializer=signal.signal, initargs=deaf, context=get_context("spawn"))
 
     def submit(self, stage: str, /, **arguments: object) -> Job[Any]:
         return _StageJob(self, stage, arguments)

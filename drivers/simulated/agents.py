@@ -5,7 +5,10 @@ import sys
 import threading
 from pathlib import Path
 
+import numpy as np
+
 from drivers.agent import serve_base, serve_scanner
+from drivers.interfaces import DriveGoal
 from drivers.simulated.base import SimulatedBase
 from drivers.simulated.clock import ScaledClock
 from drivers.simulated.profile import SCANNERS
@@ -14,9 +17,10 @@ from drivers.simulated.scanner_device import SimulatedScannerDevice
 from drivers.simulated.scenario import Scenario, load_scenario
 from drivers.simulated.side_channel import StanceServer, ask_stance
 from drivers.simulated.truth_log import TruthLog
-from drivers.simulated.world import read_world
+from drivers.simulated.world import World, read_world
 from drivers.wire.endpoints import Endpoints
 from perception.failure import FailureError
+from perception.grids import Cell, Grid
 
 
 def run_scanner_agent(
@@ -61,7 +65,9 @@ def run_base_agent(
     scenario: Path | None = None,
 ) -> None:
     """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`."""
-    base = SimulatedBase(read_world(world), scenario=_scenario(scenario), seed=seed, truth=TruthLog(truth))
+    building = read_world(world)
+    _warm_up(building)
+    base = SimulatedBase(building, scenario=_scenario(scenario), seed=seed, truth=TruthLog(truth))
     channel = StanceServer(base.stance, plant)
     ended = threading.Event()
     motion = threading.Thread(target=base.run, args=(ScaledClock(speed), ended.is_set), name="motion", daemon=True)
@@ -72,6 +78,15 @@ def run_base_agent(
         ended.set()
         motion.join()
         channel.close()
+
+
+def _warm_up(world: World) -> None:
+    """Drive a throw-away base a little: what is compiled at its first use must not cost the first goal its deadline."""
+    nowhere = Grid(np.full((120, 120), Cell.FREE, np.uint8), (-3.0, -3.0), 0.05)
+    base = SimulatedBase(world)
+    base.start_drive(DriveGoal("warm-up", nowhere, "nowhere", np.eye(4), 0.5, 0.0))
+    for _ in range(100):
+        base.step(0.05)
 
 
 def announce(bound: Endpoints, **more: str) -> None:

@@ -12,8 +12,8 @@ from drivers.simulated.surroundings import Surroundings
 Points = NDArray[np.float64]
 """``(N, 2)`` in base_link, metres."""
 
-_BELOW = 0.03
-_SECTORS = 360
+_BELOW = 0.06
+_SECTORS = 240
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ _REACTION = 0.2
 # One or two may be noise; so near, even the leg of a chair is met by several beams.
 _HITS_THAT_COUNT = 3
 # The guard looks less closely, so that what it sees may reach a little further.
-_OVERHANG_MARGIN = 0.05
+_OVERHANG_MARGIN = 0.04
 _SCALES = (1.0, 0.6, 0.3, 0.12)
 
 

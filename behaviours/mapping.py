@@ -145,6 +145,8 @@ class BuildMap(StageLeaf):
         return {
             "scan_id": latest.scan_id,
             "pose": latest.map_from_scanner.tolist(),
+            "shape": survey.shapes[self.read(Key.ROOM)],
+            "doors": [*(edge.door for edge in survey.building.doors), *survey.suspects],
             "previous": survey.map_id,
             "track": list(survey.track),
             "room_id": self.read(Key.ROOM),

@@ -140,14 +140,21 @@ class _Processing:
             "ceiling_z": shape.ceiling_z,
             "area": shape.area,
         }
-        self._attempt("map", self._build_maps)
+        self._attempt("map", lambda: self._build_maps(shape))
         self._attempt("labels", lambda: self._label(shape))
         self._attempt("doors", lambda: self._find_doors(shape))
 
-    def _build_maps(self) -> None:
+    def _build_maps(self, shape: RoomShape) -> None:
         for cycle, (scan_id, pose) in enumerate(self._placed, 1):
             track = [transforms.to_planar(np.asarray(pose))]
-            places = {"previous": self._map_id, "track": track, "room_id": ROOM, "cycle": cycle}
+            places = {
+                "shape": shape,
+                "doors": [],
+                "previous": self._map_id,
+                "track": track,
+                "room_id": ROOM,
+                "cycle": cycle,
+            }
             self._map_id = self._stage("build_map", scan_id=scan_id, pose=pose, **places).map_id
 
     def _label(self, shape: RoomShape) -> None:

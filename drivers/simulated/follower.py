@@ -9,7 +9,7 @@ from drivers.simulated.profile import BaseProfile
 Command = tuple[float, float]
 """Speed (m/s) and turn rate (rad/s)."""
 
-_LOOKAHEAD_MIN, _LOOKAHEAD_TIME = 0.22, 0.5
+_LOOKAHEAD_MIN, _LOOKAHEAD_TIME = 0.14, 0.5
 _ALIGNED = np.deg2rad(12.0)
 _TURNED = np.deg2rad(0.8)
 _ARRIVED = 0.012
@@ -71,7 +71,9 @@ class Follower:
         self._progress, remaining, length = _locate(leg.points, pose, self._progress)
         if remaining < _ARRIVED:
             return None
-        lookahead = max(_LOOKAHEAD_MIN, _LOOKAHEAD_TIME * self._profile.speed)
+        # Short of space it goes slowly and looks less far ahead, which cuts the corners less.
+        cruise = min(self._profile.speed, _SPEED_WITHOUT_SPACE + _GAIN_OF_SPACE * max(space, 0.0))
+        lookahead = max(_LOOKAHEAD_MIN, _LOOKAHEAD_TIME * cruise)
         target = _point_at(leg.points, self._progress + lookahead)
         dx, dy = target[0] - pose[0], target[1] - pose[1]
         bearing = _wrap(float(np.arctan2(dy, dx)) - facing)
@@ -82,8 +84,7 @@ class Follower:
         self._aligned = True
         curvature = 2 * np.sin(bearing) / max(float(np.hypot(dx, dy)), 0.1)
         speed = min(
-            self._profile.speed,
-            _SPEED_WITHOUT_SPACE + _GAIN_OF_SPACE * max(space, 0.0),
+            cruise,
             _CREEP + float(np.sqrt(2 * _BRAKING_SHARE * self._profile.acceleration * remaining)) * 0.8,
             self._profile.turn_rate / max(abs(curvature), 1e-6),
         )

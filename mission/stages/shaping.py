@@ -7,7 +7,7 @@ import numpy as np
 
 from mission.stages.library import Library, PlacedScans, matrix
 from mission.store import read_arrays, save_grid, write_arrays
-from perception import contour, robot_map, segmentation, transforms
+from perception import contour, robot_map, segmentation, sightlines, transforms
 from perception import doors as door_finding
 from perception.findings import Door, DoorFindings, Polygon, RoomShape
 from perception.grids import Cell
@@ -47,6 +47,8 @@ def build_map(
     library: Library,
     scan_id: str,
     pose: Sequence[Sequence[float]],
+    shape: RoomShape,
+    doors: Sequence[Door],
     previous: str | None,
     track: Sequence[tuple[float, float, float]],
     room_id: str,
@@ -54,11 +56,10 @@ def build_map(
 ) -> MapSummary:
     map_from_scanner = matrix(pose)
     scan = library.scan(scan_id)
-    partial = robot_map.partial_map(
-        transforms.apply(map_from_scanner, scan.points),
-        map_from_scanner[:3, 3],
-        azimuth_step=2 * scan.pattern.azimuth_step,
-    )
+    station = map_from_scanner[:3, 3]
+    points = transforms.apply(map_from_scanner, scan.points)
+    points = points[sightlines.believable(points, station, shape.contour, doors, shape.floor_z)]
+    partial = robot_map.partial_map(points, station, azimuth_step=2 * scan.pattern.azimuth_step)
     evidence = robot_map.couple(_load_evidence(library, previous), partial.evidence)
     grid = robot_map.mark_free(evidence.to_grid(), track, _HALF_WIDTH)
     grid = robot_map.mark_free(grid, track[-1:], _HALF_WIDTH, over_obstacles=True)

@@ -1,0 +1,114 @@
+"""Whole missions that do not go as planned: operators, people, faults, and agents that are not there."""
+
+import signal
+import time
+from pathlib import Path
+
+import yaml
+
+from drivers.simulated.world import save_world
+from drivers.simulated.worlds import load_world
+from mission.config import load_config
+from tests.missions.flights import (
+    AT_ONCE,
+    ENOUGH,
+    ONE_ROOM,
+    agents,
+    free_ports,
+    is_listening,
+    is_running,
+    landed,
+    mission,
+    simulate,
+    wait_until,
+    write_site,
+)  # fmt: skip
+
+
+def saved_world(folder: Path) -> Path:
+    plan, world = folder / "plan.yaml", folder / "world.npz"
+    plan.write_text(yaml.safe_dump(ONE_ROOM))
+    save_world(load_world(str(plan)), world)
+    return world
+
+
+def test_an_operator_who_interrupts_gets_a_mission_that_was_ended_properly(tmp_path: Path) -> None:
+    process = simulate(ONE_ROOM, tmp_path)
+    wait_until(lambda: is_running(tmp_path / "runs", "take the scan"), process)
+    process.send_signal(signal.SIGINT)
+    flight = landed(process, tmp_path)
+    assert flight.code == 4, flight.stderr
+    assert flight.said["outcome"] == flight.read("state.json")["outcome"] == "aborted"
+    assert "Traceback" not in flight.stderr
+    last = {event["path"]: event["after"] for event in flight.events_of("node")}
+    assert "RUNNING" not in last.values()
+    assert (flight.folder / "report.html").is_file()
+    config = load_config(flight.folder / "config.yaml")
+    assert not any(map(is_listening, (config.scanner.control, config.base.control)))
+
+
+def test_an_operator_who_interrupts_before_anything_moved_is_obeyed_too(tmp_path: Path) -> None:
+    site = tmp_path / "site.yaml"
+    nowhere = free_ports(4)
+    write_site(site, dict(zip(("control", "bulk"), nowhere, strict=False)), _base_at(nowhere))
+    process = mission("run", site, f"--out={tmp_path / 'runs'}")
+    wait_until(lambda: any((tmp_path / "runs").glob("*/config.yaml")), process)
+    process.send_signal(signal.SIGTERM)
+    flight = landed(process, tmp_path)
+    assert flight.code == 4, flight.stderr
+    assert "Traceback" not in flight.stderr
+
+
+def test_a_failed_scan_and_a_person_in_the_way_do_not_end_a_mission(tmp_path: Path) -> None:
+    scenario = tmp_path / "scenario.yaml"
+    person = {"kind": "person", "waypoints": [[100, 2.7, 2.3], [500, 2.7, 2.3]]}
+    scenario.write_text(yaml.safe_dump({"scanner": {"fail_first": 1}, "tracks": [person]}))
+    flight = landed(simulate(ONE_ROOM, tmp_path, f"--set={ENOUGH}", f"--scenario={scenario}"), tmp_path)
+    assert flight.code == 0, flight.stderr
+    assert "SCAN_FAILED" in [event["code"] for event in flight.events_of("failure")]
+    assert [scan["scan_id"] for scan in flight.read("state.json")["scans"]][0] == "S02"
+    assert any(event["purpose"] == "view" and event["result"] == "arrived" for event in flight.events_of("drive"))
+    told = flight.read("evaluation.json")
+    assert (told["rooms_finished"], told["collisions"]) == (1, 0)
+    assert told["pose_error_max_m"] < 0.01
+
+
+def test_a_mission_runs_with_agents_that_somebody_else_started(tmp_path: Path) -> None:
+    with agents(saved_world(tmp_path), tmp_path) as up:
+        process = mission("run", up.site, f"--out={tmp_path / 'runs'}", "--json", f"--set={AT_ONCE}")
+        flight = landed(process, tmp_path)
+        assert flight.code == 0, flight.stderr
+        assert [room["scans"] for room in flight.said["rooms"]] == [1]
+        assert (flight.folder / "building.e57").is_file()
+        assert (flight.folder / "report.html").is_file()
+        assert up.scanner.poll() is up.base.poll() is None, "agents outlive the missions they serve"
+
+
+def test_a_scanner_that_dies_in_the_middle_ends_the_mission_with_its_name(tmp_path: Path) -> None:
+    with agents(saved_world(tmp_path), tmp_path) as up:
+        process = mission("run", up.site, f"--out={tmp_path / 'runs'}", "--json")
+        wait_until(lambda: is_running(tmp_path / "runs", "take the scan"), process)
+        up.scanner.kill()
+        flight = landed(process, tmp_path)
+        assert flight.code == 3, flight.stderr
+        assert flight.said["outcome"] == "incomplete"
+        assert [room["reason_ended"] for room in flight.said["rooms"]] == ["AGENT_UNREACHABLE"]
+        assert flight.seconds < 60
+        assert up.base.poll() is None
+
+
+def test_without_agents_a_mission_says_who_is_missing_and_when(tmp_path: Path) -> None:
+    site = tmp_path / "site.yaml"
+    nowhere = free_ports(4)
+    write_site(site, dict(zip(("control", "bulk"), nowhere, strict=False)), _base_at(nowhere))
+    began = time.monotonic()
+    flight = landed(mission("run", site, f"--out={tmp_path / 'runs'}", "--json"), tmp_path, began)
+    assert flight.code == 6
+    assert flight.stdout == ""
+    assert "scanner: " in flight.stderr
+    assert "base: " in flight.stderr
+    assert flight.seconds < 30
+
+
+def _base_at(nowhere: list[str]) -> dict[str, str]:
+    return {"control": nowhere[2], "telemetry": nowhere[3]}

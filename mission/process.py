@@ -147,15 +147,9 @@ class _Processing:
     def _build_maps(self, shape: RoomShape) -> None:
         for cycle, (scan_id, pose) in enumerate(self._placed, 1):
             track = [transforms.to_planar(np.asarray(pose))]
-            places = {
-                "shape": shape,
-                "doors": [],
-                "previous": self._map_id,
-                "track": track,
-                "room_id": ROOM,
-                "cycle": cycle,
-            }
-            self._map_id = self._stage("build_map", scan_id=scan_id, pose=pose, **places).map_id
+            known = {"shape": shape, "doors": [], "previous": self._map_id, "track": track}
+            ids = {"scan_id": scan_id, "room_id": ROOM, "cycle": cycle}
+            self._map_id = self._stage("build_map", pose=pose, **ids, **known).map_id
 
     def _label(self, shape: RoomShape) -> None:
         scans = {"scans": self._placed, "voxel": 0.10, "labeller": "range"}

@@ -66,7 +66,7 @@ def test_a_failed_scan_and_a_person_in_the_way_do_not_end_a_mission(tmp_path: Pa
     flight = landed(simulate(ONE_ROOM, tmp_path, f"--set={ENOUGH}", f"--scenario={scenario}"), tmp_path)
     assert flight.code == 0, flight.stderr
     assert "SCAN_FAILED" in [event["code"] for event in flight.events_of("failure")]
-    assert [scan["scan_id"] for scan in flight.read("state.json")["scans"]][0] == "S02"
+    assert flight.read("state.json")["scans"][0]["scan_id"] == "S02"
     assert any(event["purpose"] == "view" and event["result"] == "arrived" for event in flight.events_of("drive"))
     told = flight.read("evaluation.json")
     assert (told["rooms_finished"], told["collisions"]) == (1, 0)

@@ -15,6 +15,7 @@ _LIBRARIES = {
 }
 _PACKAGES = ("open3d-cpu", "py-trees", "numpy", "scipy", "opencv-python-headless", "pyzmq", "numba", "pye57")
 _DISK_GB = 5.0
+_PATIENCE_S = 15.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ def _agents(scanner: object, base: object) -> list[Finding]:
 
     assert isinstance(scanner, Endpoints) and isinstance(base, Endpoints)
     drives = BaseClient(base)
-    answers = {"scanner": wait_for(ScannerClient(scanner).info(), 10.0), "base": wait_for(drives.info(), 10.0)}
+    scanner_says, base_says = ScannerClient(scanner).info(), drives.info()
+    answers = {"scanner": wait_for(scanner_says, _PATIENCE_S), "base": wait_for(base_says, _PATIENCE_S)}
     drives.close()
     return [
         Finding(name, False, str(answer))

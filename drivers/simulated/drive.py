@@ -68,6 +68,7 @@ class Drive:
         self._held_since: float | None = None
         self._has_backed_up = False
         self._backed_from = localiser.pose
+        self._retreat = -_BACK_UP_SPEED
         self._follower = Follower(self._first_path(), profile)
 
     @property
@@ -162,7 +163,7 @@ class Drive:
             self._enter(Phase.FOLLOWING)
 
     def _back_up(self) -> Command:
-        allowed = self._monitor.limit((-_BACK_UP_SPEED, 0.0), self._sweep)
+        allowed = self._monitor.limit((self._retreat, 0.0), self._sweep)
         gone = np.hypot(*np.subtract(self._localiser.pose[:2], self._backed_from[:2]))
         if gone < _BACK_UP and allowed != _REST and self._now - self._since < _BACK_UP_TIME:
             return allowed
@@ -206,6 +207,10 @@ class Drive:
         self._backed_from = self._localiser.pose
         if phase is Phase.FOLLOWING:
             self._has_backed_up = False
+        elif phase is Phase.BACKING_UP:
+            # What holds a turn may be close behind; then the way out is forward.
+            backwards = self._monitor.limit((-_BACK_UP_SPEED, 0.0), self._sweep)
+            self._retreat = _BACK_UP_SPEED if backwards == _REST else -_BACK_UP_SPEED
 
     def _keep_track(self) -> None:
         pose = self._localiser.pose

@@ -75,7 +75,7 @@ class LidarProfile:
     beams: int = 720
     height: float = 0.2
     range_max: float = 15.0
-    noise_sigma: float = 0.01
+    noise_sigma: float = 0.007
     interval: float = 0.1
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from drivers.simulated.lidar import Sweep
 from drivers.simulated.profile import BaseProfile
 
-_MARGIN = 0.03
+_MARGIN = 0.025
 _REACTION = 0.2
 # One or two may be noise; so near, even the leg of a chair is met by several beams.
 _HITS_THAT_COUNT = 3

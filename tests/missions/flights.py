@@ -1,7 +1,6 @@
 """Small buildings and whole missions through them: real processes, real sockets, from the command to its exit code."""
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -92,9 +91,9 @@ def simulate(plan: Mapping[str, Any], folder: Path, *more: object) -> subprocess
     return mission("simulate", world, *coarse, f"--out={folder / 'runs'}", "--json", *more)
 
 
-def landed(process: subprocess.Popen[str], folder: Path, began: float | None = None) -> Flight:
-    """Wait until the command has ended."""
-    began = time.monotonic() if began is None else began
+def landed(process: subprocess.Popen[str], folder: Path) -> Flight:
+    """Wait until the command has ended; ``seconds`` are those from now on."""
+    began = time.monotonic()
     try:
         stdout, stderr = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
@@ -166,6 +165,14 @@ def agents(world: Path, folder: Path, speed: float = 20.0) -> Iterator[Agents]:
             process.communicate(timeout=PATIENCE_S)
 
 
+def write_site_of_nobody(folder: Path) -> Path:
+    """A site whose agents were never started."""
+    scans, bulk, drives, telemetry = free_ports(4)
+    site = folder / "site.yaml"
+    write_site(site, {"control": scans, "bulk": bulk}, {"control": drives, "telemetry": telemetry})
+    return site
+
+
 def write_site(path: Path, scanner: Mapping[str, str], base: Mapping[str, str], speed: float = 20.0) -> None:
     site = {
         "site": "laboratory",
@@ -175,11 +182,3 @@ def write_site(path: Path, scanner: Mapping[str, str], base: Mapping[str, str], 
         "settings": {"scanning": {"step_deg": 0.5}},
     }
     path.write_text(yaml.safe_dump(site))
-
-
-def is_alive(process_id: int) -> bool:
-    try:
-        os.kill(process_id, 0)
-    except ProcessLookupError:
-        return False
-    return True

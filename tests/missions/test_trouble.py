@@ -1,7 +1,7 @@
 """Whole missions that do not go as planned: operators, people, faults, and agents that are not there."""
 
 import signal
-import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import yaml
@@ -13,16 +13,16 @@ from tests.missions.flights import (
     AT_ONCE,
     ENOUGH,
     ONE_ROOM,
+    Flight,
     agents,
-    free_ports,
     is_listening,
     is_running,
     landed,
     mission,
     simulate,
     wait_until,
-    write_site,
-)  # fmt: skip
+    write_site_of_nobody,
+)
 
 
 def saved_world(folder: Path) -> Path:
@@ -48,10 +48,7 @@ def test_an_operator_who_interrupts_gets_a_mission_that_was_ended_properly(tmp_p
 
 
 def test_an_operator_who_interrupts_before_anything_moved_is_obeyed_too(tmp_path: Path) -> None:
-    site = tmp_path / "site.yaml"
-    nowhere = free_ports(4)
-    write_site(site, dict(zip(("control", "bulk"), nowhere, strict=False)), _base_at(nowhere))
-    process = mission("run", site, f"--out={tmp_path / 'runs'}")
+    process = mission("run", write_site_of_nobody(tmp_path), f"--out={tmp_path / 'runs'}")
     wait_until(lambda: any((tmp_path / "runs").glob("*/config.yaml")), process)
     process.send_signal(signal.SIGTERM)
     flight = landed(process, tmp_path)
@@ -73,23 +70,20 @@ def test_a_failed_scan_and_a_person_in_the_way_do_not_end_a_mission(tmp_path: Pa
     assert told["pose_error_max_m"] < 0.01
 
 
-def test_a_mission_runs_with_agents_that_somebody_else_started(tmp_path: Path) -> None:
+def test_agents_serve_one_mission_after_another_until_one_of_them_dies(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
     with agents(saved_world(tmp_path), tmp_path) as up:
-        process = mission("run", up.site, f"--out={tmp_path / 'runs'}", "--json", f"--set={AT_ONCE}")
-        flight = landed(process, tmp_path)
+        flight = landed(mission("run", up.site, f"--out={first / 'runs'}", "--json", f"--set={AT_ONCE}"), first)
         assert flight.code == 0, flight.stderr
         assert [room["scans"] for room in flight.said["rooms"]] == [1]
         assert (flight.folder / "building.e57").is_file()
         assert (flight.folder / "report.html").is_file()
-        assert up.scanner.poll() is up.base.poll() is None, "agents outlive the missions they serve"
+        assert up.scanner.poll() is up.base.poll() is None
 
-
-def test_a_scanner_that_dies_in_the_middle_ends_the_mission_with_its_name(tmp_path: Path) -> None:
-    with agents(saved_world(tmp_path), tmp_path) as up:
-        process = mission("run", up.site, f"--out={tmp_path / 'runs'}", "--json")
-        wait_until(lambda: is_running(tmp_path / "runs", "take the scan"), process)
+        process = mission("run", up.site, f"--out={second / 'runs'}", "--json")
+        wait_until(lambda: is_running(second / "runs", "take the scan"), process)
         up.scanner.kill()
-        flight = landed(process, tmp_path)
+        flight = landed(process, second)
         assert flight.code == 3, flight.stderr
         assert flight.said["outcome"] == "incomplete"
         assert [room["reason_ended"] for room in flight.said["rooms"]] == ["AGENT_UNREACHABLE"]
@@ -97,18 +91,10 @@ def test_a_scanner_that_dies_in_the_middle_ends_the_mission_with_its_name(tmp_pa
         assert up.base.poll() is None
 
 
-def test_without_agents_a_mission_says_who_is_missing_and_when(tmp_path: Path) -> None:
-    site = tmp_path / "site.yaml"
-    nowhere = free_ports(4)
-    write_site(site, dict(zip(("control", "bulk"), nowhere, strict=False)), _base_at(nowhere))
-    began = time.monotonic()
-    flight = landed(mission("run", site, f"--out={tmp_path / 'runs'}", "--json"), tmp_path, began)
+def test_without_agents_a_mission_says_who_is_missing_within_seconds(unanswered: "Future[Flight]") -> None:
+    flight = unanswered.result()
     assert flight.code == 6
     assert flight.stdout == ""
     assert "scanner: " in flight.stderr
     assert "base: " in flight.stderr
     assert flight.seconds < 30
-
-
-def _base_at(nowhere: list[str]) -> dict[str, str]:
-    return {"control": nowhere[2], "telemetry": nowhere[3]}

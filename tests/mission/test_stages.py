@@ -1,0 +1,225 @@
+"""The stages in a row, as the worker runs them, on synthetic scans: what they return and what they leave on disk."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import scan_file
+from mission import stages
+from mission.stages.library import Library, without_own_body
+from mission.stages.placing import ScanSummary
+from mission.stages.shaping import MapSummary
+from mission.store import RunFolder, load_space, read_arrays
+from perception import transforms
+from perception.failure import FailureError
+from perception.findings import Alignment, DoorFindings, LabelCounts, Registration, RoomShape, ViewChoice
+from perception.grids import Cell, Label
+from perception.scan import BeamPattern, Scan
+from tests.perception import rooms
+from tests.synthetic import Scene, box
+
+MOUNT = transforms.from_euler(0, 0, 0, (0, 0, 1.3))
+PATTERN = BeamPattern.with_step(np.deg2rad(0.8), (np.deg2rad(-40), np.deg2rad(60)), (0.5, 120.0))
+PLACES = {"S01": (2.6, 2.6, 0.3), "S02": (4.4, 1.6, -0.5)}
+TILTS = {"S01": (0.012, -0.008), "S02": (-0.006, 0.010)}
+MAP_FROM_WORLD = transforms.planar(-2.6, -2.6, 0.0)
+"""The map lies along the walls of the first room with its origin under the first scan."""
+
+
+def true_pose(name: str) -> np.ndarray:
+    """``world_from_scanner``: the base on the floor, leaning, with the scanner on top."""
+    return transforms.planar(*PLACES[name]) @ transforms.from_euler(*TILTS[name], 0) @ MOUNT
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What came out of each stage."""
+
+    run: RunFolder
+    summary: ScanSummary
+    alignment: Alignment
+    anchor: Registration
+    second: Registration
+    shape: RoomShape
+    maps: list[MapSummary]
+    counts: list[LabelCounts]
+    view: ViewChoice
+    doors: DoorFindings
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Survey:
+    run = RunFolder.at(tmp_path_factory.mktemp("run"))
+    scene = rooms.two_rooms(rooms.CABINET, rooms.TABLE)
+    for seed, name in enumerate(PLACES):
+        scan = scene.take(true_pose(name), PATTERN, seed=seed, scan_id=name)
+        scan_file.write(run.scan_file(name), replace(scan, base_from_scanner=MOUNT))
+    library = Library(run)
+
+    def stage(name: str, **arguments: object) -> object:
+        return stages.run(library, name, arguments)
+
+    summary = stage("validate_scan", scan_id="S01")
+    alignment = stage("align_scan", scan_id="S01")
+    anchor = stage("anchor_scan", scan_id="S01")
+    placed = [("S01", anchor.map_from_scanner.tolist())]
+    level = stage("align_scan", scan_id="S02").level_from_scanner
+    x, y, yaw = transforms.to_planar(MAP_FROM_WORLD @ true_pose("S02"))
+    guess = transforms.planar(x + 0.06, y - 0.05, yaw + 0.02) @ level
+    trust = {"error_m": 0.15, "error_rad": 0.06}
+    second = stage("register_scan", scan_id="S02", guess=guess.tolist(), reference=placed, **trust)
+    placed.append(("S02", second.map_from_scanner.tolist()))
+
+    room = {"room_id": "R1"}
+    contour = {"seed": (0.0, 0.0), "doors": (), "others": (), "previous": None}
+    shape = stage("segment_room", **room, cycle=2, scans=placed, **contour)
+    track = [transforms.to_planar(np.asarray(pose)) for _, pose in placed]
+    maps, counts = [], []
+    for cycle, (name, pose) in enumerate(placed, 1):
+        before = maps[-1].map_id if maps else None
+        place = {"pose": pose, "previous": before, "track": track[:cycle], "shape": shape, "doors": ()}
+        maps.append(stage("build_map", **room, cycle=cycle, scan_id=name, **place))
+        space = {"shape": shape, "scans": placed[:cycle], "voxel": 0.1, "labeller": "range"}
+        counts.append(stage("label_space", **room, cycle=cycle, **space))
+    where = {"scan_id": "S02", "pose": track[-1], "stations": placed, "track": track, "map_id": maps[-1].map_id}
+    rules = {"avoid": (), "rule": "graded", "gain": "all", "path_clearance": 0.36, "goal_clearance": 0.58}
+    view = stage("choose_view", **room, cycle=2, shape=shape, **where, **rules)
+    doors = stage("find_doors", **room, shape=shape, scans=placed)
+    return Survey(run, summary, alignment, anchor, second, shape, maps, counts, view, doors)
+
+
+def test_a_valid_scan_is_summed_up(survey: Survey) -> None:
+    assert survey.summary.points > 50_000
+    assert 0.9 < survey.summary.return_share <= 1.0
+    np.testing.assert_array_equal(survey.summary.base_from_scanner, MOUNT)
+
+
+def test_the_tilt_is_taken_out(survey: Survey) -> None:
+    up = survey.alignment.level_from_scanner[:3, :3] @ true_pose("S01")[:3, :3].T @ [0, 0, 1]
+    assert np.rad2deg(np.arccos(min(1.0, up[2]))) < 0.05
+    assert survey.alignment.scanner_height == pytest.approx(1.3, abs=0.01)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_every_scan_is_where_it_was_taken(survey: Survey, name: str) -> None:
+    found = survey.anchor if name == "S01" else survey.second
+    distance, angle = transforms.difference(MAP_FROM_WORLD @ true_pose(name), found.map_from_scanner)
+    # The frame is the first scan's, the scanner of which leans a centimetre away from above its place.
+    assert distance < 0.03
+    assert np.rad2deg(angle) < 0.15
+    assert found.method == ("anchor" if name == "S01" else "icp")
+
+
+def test_the_step_between_the_scans_is_true_to_the_centimetre(survey: Survey) -> None:
+    step = transforms.inverse(survey.anchor.map_from_scanner) @ survey.second.map_from_scanner
+    truth = transforms.inverse(true_pose("S01")) @ true_pose("S02")
+    distance, angle = transforms.difference(truth, step)
+    assert distance < 0.01
+    assert np.rad2deg(angle) < 0.1
+
+
+def test_a_scan_that_cannot_be_where_it_is_said_to_be_is_refused(survey: Survey) -> None:
+    library = Library(survey.run)
+    placed = [("S01", survey.anchor.map_from_scanner.tolist())]
+    far = transforms.planar(1.2, 0.8, 0.9) @ survey.second.map_from_scanner
+    with pytest.raises(FailureError) as refused:
+        trust = {"error_m": 0.1, "error_rad": 0.05}
+        stages.run(library, "register_scan", {"scan_id": "S02", "guess": far, "reference": placed, **trust})
+    assert refused.value.failure.code.startswith("REG_")
+
+
+def test_the_room_is_found_with_floor_ceiling_and_contour(survey: Survey) -> None:
+    assert survey.shape.area == pytest.approx(6.0 * 5.0, rel=0.03)
+    assert survey.shape.floor_z == pytest.approx(0.0, abs=0.02)
+    assert survey.shape.ceiling_z == pytest.approx(3.0, abs=0.02)
+    kept = read_arrays(survey.run.evidence_file("R1", 2, "ceiling"))
+    np.testing.assert_array_equal(kept["contour"], survey.shape.contour)
+    assert kept["data"].any()
+
+
+def test_the_robot_map_is_fused_and_loads_back(survey: Survey) -> None:
+    first, second = survey.maps
+    assert second.free_m2 > first.free_m2
+    grid = survey.run.robot_map(second.map_id)
+    assert np.count_nonzero(grid.data == Cell.FREE) * grid.resolution**2 == pytest.approx(second.free_m2)
+    front_of_cabinet = np.column_stack([np.linspace(1.1, 2.9, 30), np.full(30, 4.57)]) - 2.6
+    assert np.mean(grid.data[tuple(grid.cells_of(front_of_cabinet).T)] == Cell.OBSTACLE) > 0.8
+    assert read_arrays(survey.run.evidence_file("R1", 2, "flatness"))["data"].size
+
+
+def test_the_robot_is_not_walled_in_where_it_stands(survey: Survey) -> None:
+    grid = survey.run.robot_map(survey.maps[-1].map_id)
+    for name in PLACES:
+        x, y, _ = transforms.to_planar(MAP_FROM_WORLD @ true_pose(name))
+        centres = grid.centres_of(np.argwhere(grid.data == Cell.OBSTACLE))
+        assert np.hypot(*(centres - (x, y)).T).min() > 0.4
+
+
+def test_the_second_scan_leaves_less_occluded_and_the_space_loads_back(survey: Survey) -> None:
+    first, second = survey.counts
+    assert first.total == second.total
+    assert second.occluded < first.occluded
+    labels = load_space(survey.run.voxel_file("R1", 2)).labels
+    assert np.count_nonzero(labels == Label.EMPTY) == second.empty
+    assert np.count_nonzero(labels == Label.OCCUPIED) == second.occupied
+
+
+def test_the_next_view_is_in_the_room_and_its_evidence_is_kept(survey: Survey) -> None:
+    best = survey.view.best[0]
+    assert 0 < survey.view.candidates
+    assert -2.6 < best.x < 3.4
+    assert -2.6 < best.y < 2.4
+    assert best.gain == max(view.gain for view in survey.view.best)
+    kept = read_arrays(survey.run.evidence_file("R1", 2, "view"))
+    assert kept["candidates"].shape[1] == 3
+    assert kept["candidates"][:, 2].max() == best.gain
+    np.testing.assert_allclose(kept["best"][0], (best.x, best.y, best.gain, best.path_length))
+
+
+def test_the_one_door_is_found_where_it_is(survey: Survey) -> None:
+    (door,) = survey.doors.doors
+    assert (door.x + 2.6, door.y + 2.6) == pytest.approx((6.0, 2.45), abs=0.06)
+    assert door.normal == pytest.approx((1.0, 0.0), abs=0.02)
+    assert door.width == pytest.approx(0.9, abs=0.06)
+
+
+def test_a_stage_of_another_name_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(KeyError):
+        stages.run(Library(RunFolder(tmp_path)), "guess_room", {})
+
+
+def test_a_scan_that_never_came_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FailureError):
+        stages.run(Library(RunFolder.at(tmp_path)), "validate_scan", {"scan_id": "S99"})
+
+
+def a_room_with_a_robot(pattern: BeamPattern, mount: np.ndarray) -> Scan:
+    robot = box((-0.45, -0.3, 0), (0.45, 0.3, 0.9))
+    shell = [
+        box((-3.2, -3.2, -0.2), (3.2, 3.2, 0)),
+        box((-3.2, -3.2, 0), (-3, 3.2, 3)),
+        box((3, -3.2, 0), (3.2, 3.2, 3)),
+    ]
+    scene = Scene(robot, *shell, box((0.6, -0.3, 0), (0.9, 0.3, 0.8)))
+    return replace(scene.take(mount, pattern), base_from_scanner=mount)
+
+
+def test_the_robot_itself_is_no_part_of_the_room_but_what_stands_before_it_is() -> None:
+    scan = a_room_with_a_robot(PATTERN, MOUNT)
+    kept = without_own_body(scan)
+    on_robot = (np.abs(scan.points[:, 0]) < 0.47) & (np.abs(scan.points[:, 1]) < 0.32) & (scan.points[:, 2] < 0)
+    assert np.count_nonzero(on_robot) > 100
+    assert len(kept.points) == len(scan.points) - np.count_nonzero(on_robot)
+    assert len(kept.beam) == len(kept.intensity) == len(kept.points)
+    np.testing.assert_allclose(kept.pattern.directions(kept.beam), _directions(kept.points), atol=0.02)
+
+
+def _directions(points: np.ndarray) -> np.ndarray:
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def test_of_a_scanner_without_a_robot_nothing_is_taken_away() -> None:
+    scan = replace(a_room_with_a_robot(PATTERN, MOUNT), base_from_scanner=np.eye(4))
+    assert len(without_own_body(scan).points) == len(scan.points)

@@ -36,7 +36,7 @@ def process_folder(folder: Path, out: Path) -> dict[str, Any]:
         FailureError: as :func:`drivers.recorded.read_folder`.
     """
     scans = recorded.read_folder(folder)
-    run = RunFolder.create(out, folder.name.lower())
+    run = RunFolder.create(out, folder.resolve().name.lower())
     journal = JsonLines(run.events, MissionClock())
     processing = _Processing(run, journal)
     for item in scans:

@@ -1,6 +1,7 @@
 """A mission in a simulated building: two agent processes are started, and the mission meets them over sockets only."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -36,8 +37,8 @@ class Rehearsal:
     @property
     def site(self) -> str:
         """Name for the run folder: the world's, and its seed."""
-        stem = "".join(c if c.isalnum() else "-" for c in Path(self.world).stem.lower()).strip("-") or "world"
-        return f"{stem[:40]}-{self.seed}"
+        stem = re.sub("[^a-z0-9]+", "-", Path(self.world).stem.lower()).strip("-")
+        return f"{stem[:40] or 'world'}-{self.seed}"
 
 
 def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summary:

@@ -168,7 +168,7 @@ def test_the_second_scan_leaves_less_occluded_and_the_space_loads_back(survey: S
 
 def test_the_next_view_is_in_the_room_and_its_evidence_is_kept(survey: Survey) -> None:
     best = survey.view.best[0]
-    assert 0 < survey.view.candidates
+    assert survey.view.candidates > 0
     assert -2.6 < best.x < 3.4
     assert -2.6 < best.y < 2.4
     assert best.gain == max(view.gain for view in survey.view.best)

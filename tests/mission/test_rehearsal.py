@@ -1,0 +1,77 @@
+"""A rehearsal's configuration and its agents' processes; whole missions are flown in ``tests/missions``."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from drivers.wire.endpoints import Endpoints
+from mission import rehearsal
+from mission.config import ConfigError, dump_config, load_config
+from mission.rehearsal import Rehearsal, configure
+from mission.run import UnreachableError
+
+SCANNER = Endpoints("tcp://127.0.0.1:5601", bulk="tcp://127.0.0.1:5602")
+BASE = Endpoints("tcp://127.0.0.1:5611", telemetry="tcp://127.0.0.1:5612")
+
+
+@pytest.mark.parametrize(
+    ("world", "site"),
+    [
+        ("school", "school-3"),
+        ("my plans/Haus Nord (2).yaml", "haus-nord--2-3"),
+        ("/x/ä.glb", "ä-3"),
+        ("---", "world-3"),
+    ],
+)
+def test_the_site_is_named_after_its_world_and_seed(world: str, site: str) -> None:
+    assert Rehearsal(world, seed=3).site == site
+
+
+@pytest.mark.parametrize("world", ["école.yaml", "Ä.glb", "日本.ifc", "x" * 200, "a/b/.yaml"])
+def test_any_file_name_makes_a_site_that_a_configuration_takes(world: str) -> None:
+    configure(Rehearsal(world), SCANNER, BASE)
+
+
+def test_the_configuration_is_what_a_site_with_such_agents_would_have(tmp_path: Path) -> None:
+    plan = Rehearsal("school", step_deg=0.4, speed=12.0, overrides=("settings.room.max_scans=4",))
+    config = configure(plan, SCANNER, BASE)
+    assert (config.clock_rate, config.settings.scanning.step_deg, config.settings.room.max_scans) == (12.0, 0.4, 4)
+    assert config.scanner.bulk == SCANNER.bulk
+    assert config.base.telemetry == BASE.telemetry
+    path = tmp_path / "config.yaml"
+    path.write_text(dump_config(config))
+    assert load_config(path) == config
+
+
+@pytest.mark.parametrize("override", ["settings.room.voxel=0.2", "settings.scanning.step_deg=fine", "clock_rate=-1"])
+def test_an_override_that_breaks_a_rule_is_refused_by_its_key(override: str) -> None:
+    with pytest.raises(ConfigError, match=override.partition("=")[0]):
+        configure(Rehearsal("school", overrides=(override,)), SCANNER, BASE)
+
+
+def test_an_agent_that_does_not_come_up_says_why(tmp_path: Path) -> None:
+    absent = tmp_path / "absent.npz"
+    arguments = [f"--world={absent}", f"--truth={tmp_path}", "--plant=tcp://127.0.0.1:*"]
+    with pytest.raises(UnreachableError, match="base.*absent.npz"), rehearsal._process("base", arguments, tmp_path):
+        pass
+
+
+def test_an_agent_is_ended_whatever_happens_to_who_started_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rehearsal.sys, "executable", str(_talker(tmp_path)))
+    with pytest.raises(ZeroDivisionError), rehearsal._process("base", [], tmp_path) as told:
+        assert told["group"] != str(os.getpgrp()), "the operator's Ctrl-C must not reach it"
+        raise ZeroDivisionError
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(told["pid"]), 0)
+
+
+def _talker(folder: Path) -> Path:
+    """An agent that says who it is and then waits, without the time it takes to load a real one."""
+    script = folder / "talker"
+    script.write_text(
+        '#!/bin/sh\necho "{\\"pid\\": \\"$$\\", \\"group\\": \\"$(cut -d" " -f5 /proc/$$/stat)\\"}"\n'
+        "exec sleep 60 >/dev/null\n"
+    )
+    script.chmod(0o755)
+    return script

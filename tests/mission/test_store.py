@@ -1,0 +1,93 @@
+"""The run folder: names, and files that are whole or not there."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from mission import store
+from mission.store import RunFolder
+from perception.grids import Cell, Grid, Label, VoxelSpace
+
+
+def test_missions_of_the_same_second_get_folders_of_their_own(tmp_path: Path) -> None:
+    folders = [RunFolder.create(tmp_path / "runs", "school-0").path for _ in range(4)]
+    assert len(set(folders)) == 4
+    assert all("school-0" in folder.name for folder in folders)
+    assert all((folder / "scans").is_dir() for folder in folders)
+
+
+def test_a_folder_that_is_there_is_opened_with_what_it_holds(tmp_path: Path) -> None:
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "scans" / "S01.scan").write_text("x")
+    run = RunFolder.at(tmp_path)
+    assert run.scan_file("S01").read_text() == "x"
+    assert {path.name for path in tmp_path.iterdir()} == {"scans", "maps", "voxels", "evidence", "pictures"}
+
+
+def test_no_two_things_share_a_file(tmp_path: Path) -> None:
+    run = RunFolder.at(tmp_path)
+    files = [
+        run.events, run.config, run.state, run.simulation, run.scan_file("S01"), run.map_file("M"),
+        run.map_evidence_file("M"), run.voxel_file("R1", 1), run.voxel_file("R1", 2), run.voxel_file("R2", 1),
+        run.evidence_file("R1", 1, "view"), run.evidence_file("R1", 1, "ceiling"),
+    ]  # fmt: skip
+    assert len(set(files)) == len(files)
+
+
+def test_the_state_is_json_whatever_its_figures_are_made_of(tmp_path: Path) -> None:
+    run = RunFolder.at(tmp_path)
+    run.write_state({"pose": np.eye(2), "points": np.int64(3), "share": np.float32(0.5), "file": Path("a")})
+    assert json.loads(run.state.read_text()) == {"pose": [[1, 0], [0, 1]], "points": 3, "share": 0.5, "file": "a"}
+
+
+def test_what_cannot_be_written_leaves_the_old_file(tmp_path: Path) -> None:
+    run = RunFolder.at(tmp_path)
+    run.write_state({"rooms": 1})
+    with pytest.raises(TypeError):
+        run.write_state({"rooms": object()})
+    assert json.loads(run.state.read_text()) == {"rooms": 1}
+
+
+def test_a_writer_that_is_cut_off_is_never_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.npz"
+    store.write_arrays(path, a=[1, 2])
+
+    def cut_off(*_: object, **__: object) -> None:
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(np, "savez_compressed", cut_off)
+    with pytest.raises(OSError, match="full"):
+        store.write_arrays(path, a=[3])
+    assert store.read_arrays(path)["a"].tolist() == [1, 2]
+
+
+def test_arrays_that_would_execute_something_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "evil.npz"
+    np.savez(path, a=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(ValueError, match="pickle"):
+        store.read_arrays(path)
+
+
+@given(
+    arrays.arrays(np.uint8, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.sampled_from(list(Cell))),
+    st.tuples(st.floats(-50, 50), st.floats(-50, 50)),
+)
+def test_grids_load_back(tmp_path_factory: pytest.TempPathFactory, data: np.ndarray, origin: tuple) -> None:
+    path = tmp_path_factory.getbasetemp() / "grid.npz"
+    store.save_grid(path, Grid(data, origin, 0.05))
+    grid = store.load_grid(path)
+    np.testing.assert_array_equal(grid.data, data)
+    assert (grid.origin, grid.resolution) == (origin, 0.05)
+
+
+def test_voxel_spaces_load_back(tmp_path: Path) -> None:
+    labels = np.random.default_rng(1).choice(list(Label), (3, 4, 5)).astype(np.uint8)
+    store.save_space(tmp_path / "space.npz", VoxelSpace(labels, (-1.0, 2.0, 0.5), 0.1))
+    space = store.load_space(tmp_path / "space.npz")
+    np.testing.assert_array_equal(space.labels, labels)
+    assert (space.origin, space.size) == ((-1.0, 2.0, 0.5), 0.1)

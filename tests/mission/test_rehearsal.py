@@ -1,6 +1,7 @@
 """A rehearsal's configuration and its agents' processes; whole missions are flown in ``tests/missions``."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,8 @@ BASE = Endpoints("tcp://127.0.0.1:5611", telemetry="tcp://127.0.0.1:5612")
     ("world", "site"),
     [
         ("school", "school-3"),
-        ("my plans/Haus Nord (2).yaml", "haus-nord--2-3"),
-        ("/x/ä.glb", "ä-3"),
+        ("my plans/Haus Nord (2).yaml", "haus-nord-2-3"),
+        ("/x/ä.glb", "world-3"),
         ("---", "world-3"),
     ],
 )
@@ -53,12 +54,12 @@ def test_an_override_that_breaks_a_rule_is_refused_by_its_key(override: str) -> 
 def test_an_agent_that_does_not_come_up_says_why(tmp_path: Path) -> None:
     absent = tmp_path / "absent.npz"
     arguments = [f"--world={absent}", f"--truth={tmp_path}", "--plant=tcp://127.0.0.1:*"]
-    with pytest.raises(UnreachableError, match="base.*absent.npz"), rehearsal._process("base", arguments, tmp_path):
+    with pytest.raises(UnreachableError, match=r"base.*absent\.npz"), rehearsal._process("base", arguments, tmp_path):
         pass
 
 
 def test_an_agent_is_ended_whatever_happens_to_who_started_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal.sys, "executable", str(_talker(tmp_path)))
+    monkeypatch.setattr(sys, "executable", str(_talker(tmp_path)))
     with pytest.raises(ZeroDivisionError), rehearsal._process("base", [], tmp_path) as told:
         assert told["group"] != str(os.getpgrp()), "the operator's Ctrl-C must not reach it"
         raise ZeroDivisionError
@@ -70,8 +71,10 @@ def _talker(folder: Path) -> Path:
     """An agent that says who it is and then waits, without the time it takes to load a real one."""
     script = folder / "talker"
     script.write_text(
-        '#!/bin/sh\necho "{\\"pid\\": \\"$$\\", \\"group\\": \\"$(cut -d" " -f5 /proc/$$/stat)\\"}"\n'
-        "exec sleep 60 >/dev/null\n"
+        f"#!{sys.executable}\n"
+        "import json, os, time\n"
+        "print(json.dumps({'pid': str(os.getpid()), 'group': str(os.getpgrp())}), flush=True)\n"
+        "time.sleep(60)\n"
     )
     script.chmod(0o755)
     return script

@@ -18,6 +18,7 @@ from perception.transforms import Matrix
 CLOUDS = (".3d", ".ply", ".pcd")
 _STEPS_DEG = (0.1, 0.2, 0.25, 0.4, 0.5, 1.0)
 _FILL = 0.6
+_KEPT = 0.95
 _3DTK_RANGES = (0.4, 20.0)
 _RIGHT_FROM_LEFT_HANDED = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -103,10 +104,22 @@ def _pattern(points: NDArray[np.floating], ranges: NDArray[np.floating]) -> Beam
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     low, high = (float(value) for value in np.quantile(elevation, (0.0005, 0.9995)))
     limits = (max(0.0, float(ranges.min()) * 0.999), float(ranges.max()) * 1.001)
-    for step in _STEPS_DEG:
-        pattern = BeamPattern.with_step(np.deg2rad(step), (low, high), limits)
-        beams = pattern.beams_towards(points)
-        looked_at = np.unique(beams[beams >= 0] % pattern.columns).size / pattern.columns
-        if np.unique(beams[beams >= 0]).size > _FILL * looked_at * pattern.size:
-            return pattern
-    return pattern
+    patterns = [BeamPattern.with_step(np.deg2rad(step), (low, high), limits) for step in _STEPS_DEG]
+    finest = next((pattern for pattern in patterns if _fill(pattern, points) > _FILL), patterns[-1])
+    coarser = patterns[patterns.index(finest) + 1 :][:1]
+    # A grid of 0.5 degrees fills most of one of 0.4 as well; in its own, no two of its points meet.
+    own = [pattern for pattern in coarser if _returned(pattern, points).size > _KEPT * _returned(finest, points).size]
+    return own[0] if own else finest
+
+
+def _returned(pattern: BeamPattern, points: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Beams that some point lies in."""
+    beams = np.unique(pattern.beams_towards(points))
+    return beams[beams >= 0]
+
+
+def _fill(pattern: BeamPattern, points: NDArray[np.floating]) -> float:
+    """Share of the beams that returned, in the columns that the scanner looked at."""
+    returned = _returned(pattern, points)
+    looked_at = np.unique(returned % pattern.columns).size
+    return returned.size / max(looked_at * pattern.rows, 1)

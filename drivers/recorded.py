@@ -105,11 +105,11 @@ def _pattern(points: NDArray[np.floating], ranges: NDArray[np.floating]) -> Beam
     low, high = (float(value) for value in np.quantile(elevation, (0.0005, 0.9995)))
     limits = (max(0.0, float(ranges.min()) * 0.999), float(ranges.max()) * 1.001)
     patterns = [BeamPattern.with_step(np.deg2rad(step), (low, high), limits) for step in _STEPS_DEG]
-    finest = next((pattern for pattern in patterns if _fill(pattern, points) > _FILL), patterns[-1])
-    coarser = patterns[patterns.index(finest) + 1 :][:1]
+    last = len(patterns) - 1
+    index = next((i for i, pattern in enumerate(patterns) if _fill(pattern, points) > _FILL), last)
+    finest, coarser = patterns[index], patterns[min(index + 1, last)]
     # A grid of 0.5 degrees fills most of one of 0.4 as well; in its own, no two of its points meet.
-    own = [pattern for pattern in coarser if _returned(pattern, points).size > _KEPT * _returned(finest, points).size]
-    return own[0] if own else finest
+    return coarser if _returned(coarser, points).size > _KEPT * _returned(finest, points).size else finest
 
 
 def _returned(pattern: BeamPattern, points: NDArray[np.floating]) -> NDArray[np.int32]:

@@ -86,7 +86,7 @@ def test_points_and_pose_are_changed_alike(
     """A point put into the world in 3DTK's frame, by 3DTK's own formula, is the one that is put there in ours."""
     folder = tmp_path_factory.mktemp("poses")
     text = " ".join(map(str, position)) + "\n" + " ".join(map(str, angles))
-    (folder / "scan000.3d").write_text("100 200 300\n")
+    (folder / "scan000.3d").write_text("100 200 300\n110 210 310\n90 150 250\n")
     (folder / "scan000.pose").write_text(text)
     (recorded,) = read_folder(folder)
     # Intrinsic x, y, z: R = Rx Ry Rz, as EulerToMatrix4 has it.

@@ -67,7 +67,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Processed:
         points = scene.take(true_pose(number), rooms.PATTERN, seed=number).points
         off = transforms.from_euler(0, 0, 0.01 * number, (0.04 * number, 0.03 * number, 0))
         write_3dtk(folder, f"scan00{number}", points, true_pose(number) @ off)
-    (folder / "scan002.3d").write_text("100 0 0\n200 0 0\n")
+    (folder / "scan002.3d").write_text("100 0 0\n200 50 0\n0 100 90\n")
     return Processed(process_folder(folder, tmp_path_factory.mktemp("runs")))
 
 
@@ -132,7 +132,7 @@ def _events(made: Processed, kind: str) -> list[dict[str, Any]]:
 def test_a_folder_of_which_no_scan_can_be_placed_has_a_report_all_the_same(tmp_path: Path) -> None:
     source = tmp_path / "nothing"
     source.mkdir()
-    (source / "scan000.3d").write_text("100 0 0\n200 0 0\n")
+    (source / "scan000.3d").write_text("100 0 0\n200 50 0\n0 100 90\n")
     result = Processed(process_folder(source, tmp_path / "runs"))
     assert "refused" in result.row(0)
     assert result.state["scans"] == []

@@ -15,7 +15,7 @@ from perception.scan import Scan
 from perception.segmentation import one_per_voxel
 from perception.surfels import Surface, surface_of
 from perception.transforms import Matrix
-from perception.validation import Limits, validate
+from perception.validation import Limits, ValidScan, validate
 
 T = TypeVar("T")
 
@@ -41,18 +41,22 @@ class Library:
     def __init__(self, run: RunFolder, limits: Limits | None = None) -> None:
         self.run = run
         self.limits = limits
-        self._scans: OrderedDict[str, Scan] = OrderedDict()
+        self._scans: OrderedDict[str, ValidScan] = OrderedDict()
         self._kept: dict[tuple[str, str], Any] = {}
 
-    def scan(self, scan_id: str) -> Scan:
-        """A validated scan, whole but for what the scanner saw of the robot that carries it."""
+    def valid(self, scan_id: str) -> ValidScan:
+        """A validated scan with its figures, whole but for what the scanner saw of the robot that carries it."""
         if scan_id not in self._scans:
             valid = validate(scan_file.read(self.run.scan_file(scan_id)), self.limits)
-            self._scans[scan_id] = without_own_body(valid.scan)
+            self._scans[scan_id] = replace(valid, scan=without_own_body(valid.scan))
         self._scans.move_to_end(scan_id)
         while len(self._scans) > _WHOLE_SCANS:
             self._scans.popitem(last=False)
         return self._scans[scan_id]
+
+    def scan(self, scan_id: str) -> Scan:
+        """The scan that :meth:`valid` has."""
+        return self.valid(scan_id).scan
 
     def surface(self, scan_id: str) -> Surface:
         """What registration sees of a scan."""

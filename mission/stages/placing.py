@@ -10,7 +10,6 @@ from perception import alignment, global_registration, registration, transforms
 from perception.findings import Alignment, Registration
 from perception.registration import Reference
 from perception.transforms import Matrix
-from perception.validation import validate
 
 _NEARBY = 20.0
 _MOUNTING = 0.2
@@ -35,8 +34,8 @@ def warm_up(library: Library) -> None:
 
 
 def validate_scan(library: Library, scan_id: str) -> ScanSummary:
-    scan = library.scan(scan_id)
-    valid = validate(scan, library.limits)
+    valid = library.valid(scan_id)
+    scan = valid.scan
     return ScanSummary(len(scan.points), valid.dropped, valid.return_share, valid.median_range, scan.base_from_scanner)
 
 

@@ -13,7 +13,7 @@ from mission import stages
 from mission.clock import MissionClock
 from mission.finish import finish
 from mission.journal import JsonLines
-from mission.stages.library import Library
+from mission.stages.scan_library import Library
 from mission.store import RunFolder
 from perception import transforms
 from perception.failure import Failure, FailureError

@@ -110,5 +110,5 @@ def _run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, fl
     from mission import stages
 
     began = time.perf_counter()
-    value = stages.run(stages.library_of(Path(run)), stage, arguments)
+    value = stages.run(stages.scans_of(Path(run)), stage, arguments)
     return value, time.perf_counter() - began

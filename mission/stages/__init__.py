@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mission.stages import placing, seeing, shaping
-from mission.stages.library import Library
+from mission.stages.scan_library import Library
 from mission.store import RunFolder
 
 STAGES: dict[str, Callable[..., Any]] = {
@@ -38,6 +38,6 @@ def run(library: Library, stage: str, arguments: Mapping[str, Any]) -> Any:
 
 
 @lru_cache(maxsize=1)
-def library_of(folder: Path) -> Library:
+def scans_of(folder: Path) -> Library:
     """The library of a run folder, the same one at every call, for a process that serves one mission."""
     return Library(RunFolder(folder))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.stages.library import Library, PlacedScans, matrix
+from mission.stages.scan_library import Library, PlacedScans, matrix
 from perception import alignment, global_registration, registration, transforms
 from perception.findings import Alignment, Registration
 from perception.registration import Reference

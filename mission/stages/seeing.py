@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from mission.stages.library import Library, PlacedScans, matrix
+from mission.stages.scan_library import Library, PlacedScans, matrix
 from mission.store import load_space, save_space, write_arrays
 from perception import labelled_map, next_best_view, voxels
 from perception.findings import LabelCounts, RoomShape, ViewChoice

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.stages.library import Library, PlacedScans, matrix
+from mission.stages.scan_library import Library, PlacedScans, matrix
 from mission.store import read_arrays, save_grid, write_arrays
 from perception import contour, robot_map, segmentation, sightlines, transforms
 from perception import doors as door_finding

@@ -8,8 +8,8 @@ import pytest
 
 from drivers import scan_file
 from mission import stages
-from mission.stages.library import Library, without_own_body
 from mission.stages.placing import ScanSummary
+from mission.stages.scan_library import Library, without_own_body
 from mission.stages.shaping import MapSummary
 from mission.store import RunFolder, load_space, read_arrays
 from perception import transforms

@@ -203,6 +203,7 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
         confidence=0.0 if np.isnan(fill) else fill,
         thickness=thickness,
     )
+    ground = _ground_behind(opening)
     checks = {
         "width": gates.min_width <= door.width <= gates.max_width,
         "height": _height_fits(opening, gates),
@@ -210,10 +211,10 @@ def _judge(opening: _Opening, robot_width: float, gates: DoorGates) -> tuple[Doo
         "glass": opening.evidence.echoes((opening.inner_columns, inner_rows)) < gates.glass,
         "fill": door.confidence >= gates.fill,
         "jambs": _jambs_stand(opening, gates),
-        "floor": _floor_goes_on(opening, gates),
+        "floor": ground is None or abs(ground) <= gates.floor_step,
         "narrow": door.net_width >= robot_width,
         "mirror": not _is_mirror(opening, gates),
-        UNVERIFIED: _goes_on(opening, gates),
+        UNVERIFIED: ground is not None and _goes_on(opening, gates),
     }
     return door, next((gate for gate, passed in checks.items() if not passed), None)
 
@@ -245,14 +246,14 @@ def _jamb_solidity(opening: _Opening, side: int) -> float:
     return opening.evidence.share((near, slice(_LOW, None)), Beam.SOLID)
 
 
-def _floor_goes_on(opening: _Opening, gates: DoorGates) -> bool:
-    """The ground behind the hole, up to 1.5 m deep, is floor at the same height and not a step down or a ledge."""
+def _ground_behind(opening: _Opening) -> float | None:
+    """Height of the ground behind the hole, up to 1.5 m deep, over the floor, metres; None where nobody saw it."""
     low = opening.within(-1.0, 0.25)
     ground = low[(low[:, 1] > 0.10) & (low[:, 1] < 1.5), 2]
     levels, edges = np.histogram(ground, np.arange(-1.0, 0.26, 0.02))
-    commonest = int(np.argmax(levels))
     # The commonest height, because the feet of leaves and walls stand on the floor too but spread over all heights.
-    return bool(levels[commonest] >= 5 and abs(edges[commonest] + 0.01) <= gates.floor_step)
+    commonest = int(np.argmax(levels))
+    return float(edges[commonest]) + 0.01 if levels[commonest] >= 5 else None
 
 
 def _thickness(opening: _Opening) -> float:

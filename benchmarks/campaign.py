@@ -111,14 +111,14 @@ def _missions(arguments: argparse.Namespace) -> list[tuple[str, str, int, list[s
     if arguments.what == "buildings":
         present = [(name, options) for name, options in REAL if (BUILDINGS / name).exists()]
         return [(Path(name).stem, str(BUILDINGS / name), 0, list(options)) for name, options in present]
-    return [(arguments.what, arguments.what, seed, []) for seed in range(arguments.first, arguments.seeds)]
+    return [(arguments.what, arguments.what, seed, []) for seed in range(arguments.first, arguments.first + arguments.seeds)]
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("school", "procedural", "buildings"), nargs="?", default="school")
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=5, help="how many seeds, from --first on")
     parser.add_argument("--step", type=float, default=0.2)
     parser.add_argument("--speed", type=float, default=15.0)
     parser.add_argument("--out", type=Path, default=Path("runs/campaign"))

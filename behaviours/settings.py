@@ -1,28 +1,35 @@
 """What an operator may set for a mission; the defaults are the paper's where it names them."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Share = Annotated[float, Ge(0), Le(1)]
+Count = Annotated[int, Ge(1)]
 
 
 @dataclass(frozen=True)
 class ScanningSettings:
     """How scans are taken: beam step in degrees, deadline in seconds, attempts at one spot and spots tried."""
 
-    step_deg: float = 0.2
-    timeout_s: float = 300.0
-    attempts: int = 2
-    spots: int = 2
+    step_deg: Annotated[float, Ge(0.01), Le(5.0)] = 0.2
+    timeout_s: Positive = 300.0
+    attempts: Count = 2
+    spots: Count = 2
 
 
 @dataclass(frozen=True)
 class RegistrationSettings:
     """How far the base's pose estimate is trusted: standing error, and growth per metre driven."""
 
-    guess_error_m: float = 0.15
-    guess_error_deg: float = 3.0
-    guess_error_m_per_m: float = 0.04
-    guess_error_deg_per_m: float = 0.8
-    global_search_m: float = 3.0
+    guess_error_m: NotNegative = 0.15
+    guess_error_deg: NotNegative = 3.0
+    guess_error_m_per_m: NotNegative = 0.04
+    guess_error_deg_per_m: NotNegative = 0.8
+    global_search_m: Positive = 3.0
 
 
 @dataclass(frozen=True)
@@ -32,11 +39,11 @@ class RoomSettings:
     ``predicted_rate`` ends a room without a confirming scan once no view promises more than that share of V_s.
     """
 
-    growing_rate: float = 0.04
-    occluded_decrease_rate: float = 0.05
-    predicted_rate: float = 0.008
-    max_scans: int = 12
-    voxel_m: float = 0.10
+    growing_rate: Share = 0.04
+    occluded_decrease_rate: Share = 0.05
+    predicted_rate: Share = 0.008
+    max_scans: Count = 12
+    voxel_m: Annotated[float, Ge(0.02), Le(0.5)] = 0.10
     labeller: Literal["range", "paper"] = "range"
     candidate_rule: Literal["graded", "paper"] = "graded"
     gain: Literal["all", "surface"] = "all"
@@ -49,22 +56,22 @@ class DrivingSettings:
     ``look_m`` is the distance from which an opening that may be a door is looked at once more.
     """
 
-    timeout_s: float = 900.0
-    view_attempts: int = 5
-    avoid_radius_m: float = 0.5
-    avoid_s: float = 600.0
-    path_clearance_m: float = 0.36
-    goal_clearance_m: float = 0.58
-    look_m: float = 0.95
+    timeout_s: Positive = 900.0
+    view_attempts: Count = 5
+    avoid_radius_m: NotNegative = 0.5
+    avoid_s: NotNegative = 600.0
+    path_clearance_m: NotNegative = 0.36
+    goal_clearance_m: NotNegative = 0.58
+    look_m: Positive = 0.95
 
 
 @dataclass(frozen=True)
 class BuildingSettings:
     """Bounds of the whole mission."""
 
-    max_rooms: int = 100
+    max_rooms: Count = 100
     return_to_start: bool = True
-    base_lost_s: float = 10.0
+    base_lost_s: Positive = 10.0
 
 
 @dataclass(frozen=True)

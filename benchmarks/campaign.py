@@ -111,7 +111,9 @@ def _missions(arguments: argparse.Namespace) -> list[tuple[str, str, int, list[s
     if arguments.what == "buildings":
         present = [(name, options) for name, options in REAL if (BUILDINGS / name).exists()]
         return [(Path(name).stem, str(BUILDINGS / name), 0, list(options)) for name, options in present]
-    return [(arguments.what, arguments.what, seed, []) for seed in range(arguments.first, arguments.first + arguments.seeds)]
+    return [
+        (arguments.what, arguments.what, seed, []) for seed in range(arguments.first, arguments.first + arguments.seeds)
+    ]
 
 
 def _arguments() -> argparse.Namespace:

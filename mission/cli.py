@@ -125,7 +125,9 @@ def report(run_folder: Annotated[Path, typer.Argument(help="A run folder.")]) ->
 @app.command()
 def evaluate(
     run_folder: Annotated[Path, typer.Argument(help="The run folder of a simulated mission.")],
-    world: Annotated[Path | None, typer.Option(help="World file; by default the one the run was simulated in.")] = None,
+    world: Annotated[
+        str | None, typer.Option(help="World as simulate takes it; by default the one the run was simulated in.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compare a simulated mission with the truth: poses, rooms, doors, and how much was sensed."""

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +20,8 @@ from mission.store import RunFolder, write_text
 
 _ANY_PORT = "tcp://127.0.0.1:*"
 _PATIENCE_S = 10
+_COMING_UP_S = 300
+"""A first start compiles, on a busy machine; a large building takes its time to load."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
     folder.simulation.mkdir()
     world_file = folder.simulation / "world.npz"
     save_world(world, world_file)
-    write_text(folder.simulation / "rehearsal.json", json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
+    write_text(folder.rehearsal, json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
     with agents(plan, world_file, folder.simulation) as (scanner, base):
         summary = run_mission(configure(plan, scanner, base), folder, display)
     from mission.evaluation import evaluate_run
@@ -121,8 +124,7 @@ def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, process_group=0) as process,
     ):
         try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
+            line = _first_line(process)
             if not line:
                 raise UnreachableError(f"the {name}'s agent did not come up: {log.read_text()[-2000:]}")
             yield json.loads(line)
@@ -132,6 +134,17 @@ def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict
                 process.wait(_PATIENCE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
+
+
+def _first_line(process: subprocess.Popen[str]) -> str:
+    """What the agent announces; empty when it ended, or was killed because it stayed silent for too long."""
+    assert process.stdout is not None
+    limit = threading.Timer(_COMING_UP_S, process.kill)
+    limit.start()
+    try:
+        return process.stdout.readline()
+    finally:
+        limit.cancel()
 
 
 def _endpoints(told: Mapping[str, str]) -> Endpoints:

@@ -61,6 +61,11 @@ class RunFolder:
         """Where simulated agents keep their truth; only the evaluation reads it."""
         return self.path / "simulation"
 
+    @property
+    def rehearsal(self) -> Path:
+        """What was simulated: world, seed, options."""
+        return self.simulation / "rehearsal.json"
+
     def scan_file(self, scan_id: str) -> Path:
         return self.path / "scans" / f"{scan_id}.scan"
 

@@ -1,8 +1,10 @@
 """People and carts: upright bodies that walk along timed tracks."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 import open3d as o3d
 import shapely
@@ -48,15 +50,14 @@ SHAPES = {
 }
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where a person or cart goes: waypoints (t, x, y) in simulated seconds and metres, straight in between.
 
     It is not there before the first waypoint nor after the last; to stay, give a last waypoint far in the future.
     """
 
-    waypoints: Sequence[tuple[float, float, float]]
-    kind: str = "person"
+    waypoints: Annotated[tuple[tuple[float, float, float], ...], msgspec.Meta(min_length=1)]
+    kind: Literal["person", "cart"] = "person"
 
     def at(self, time: float) -> Body | None:
         """The body at a time, facing where it walks."""

@@ -1,6 +1,5 @@
 """What goes wrong, and when: scripted people and faults of one simulated mission."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -9,8 +8,7 @@ import yaml
 from drivers.simulated.bodies import Track
 
 
-@dataclass(frozen=True)
-class ScannerFaults:
+class ScannerFaults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Faults of the scanner.
 
     Args:
@@ -24,8 +22,7 @@ class ScannerFaults:
     truncate_first: int = 0
 
 
-@dataclass(frozen=True)
-class BaseFaults:
+class BaseFaults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Faults of the base.
 
     Args:
@@ -37,8 +34,7 @@ class BaseFaults:
     emergency_stop: tuple[tuple[float, float], ...] = ()
 
 
-@dataclass(frozen=True)
-class Scenario:
+class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything scripted about a mission; nothing by default."""
 
     tracks: tuple[Track, ...] = ()
@@ -47,5 +43,9 @@ class Scenario:
 
 
 def load_scenario(path: Path) -> Scenario:
-    """Read a scenario from YAML, keys as in :class:`Scenario`; raises ``msgspec.ValidationError``."""
+    """Read a scenario from YAML, keys as in :class:`Scenario`.
+
+    Raises:
+        msgspec.ValidationError: for a key it does not know, or a value of another type.
+    """
     return msgspec.convert(yaml.safe_load(path.read_text()) or {}, Scenario)

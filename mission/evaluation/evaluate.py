@@ -7,6 +7,7 @@ from typing import Any
 
 from drivers.simulated.truth_log import read_truth
 from drivers.simulated.world import World, read_world
+from drivers.simulated.worlds import load_world
 from drivers.simulated.worlds.free_space import reachable
 from mission.evaluation import areas, survey
 from mission.evaluation.settings import EvaluationSettings
@@ -72,20 +73,18 @@ _SUMMARY = (
 )
 
 
-def evaluate_run(
-    folder: Path, world_file: Path | None = None, settings: EvaluationSettings | None = None
-) -> Evaluation:
+def evaluate_run(folder: Path, world: str | None = None, settings: EvaluationSettings | None = None) -> Evaluation:
     """Evaluate a run and keep the figures in its folder, where the report finds them.
 
     Args:
         folder: the run folder.
-        world_file: the building; by default the one that the run was simulated in.
+        world: the building, by a name or a file as ``mission simulate`` takes it (with the seed of the run); by
+            default the very one that the run was simulated in.
 
     Raises:
-        FailureError: ``RUN_UNREADABLE``, ``WORLD_UNREADABLE``.
+        FailureError: ``RUN_UNREADABLE``, ``WORLD_UNREADABLE`` and what :func:`load_world` raises.
     """
-    world = read_world(world_file or RunFolder(folder).simulation / "world.npz")
-    evaluation = evaluate(folder, world, settings)
+    evaluation = evaluate(folder, _world(RunFolder(folder), world), settings)
     write_text(folder / EVALUATION, json.dumps(evaluation.to_dict(), indent=1) + "\n")
     return evaluation
 
@@ -135,6 +134,14 @@ def evaluate(folder: Path, world: World, settings: EvaluationSettings | None = N
         doors=doors,
         settings=settings,
     )
+
+
+def _world(run: RunFolder, spec: str | None) -> World:
+    if spec is None:
+        return read_world(run.simulation / "world.npz")
+    plan: dict[str, Any] = json.loads(run.rehearsal.read_text()) if run.rehearsal.exists() else {}
+    options = plan["options"] if plan.get("world") == spec else {}
+    return load_world(spec, plan.get("seed", 0), **options)
 
 
 def _share(part: int, whole: int) -> float:

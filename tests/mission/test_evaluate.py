@@ -10,6 +10,7 @@ import pytest
 from drivers.simulated.world import Surface, save_world
 from mission.evaluation import Evaluation, EvaluationSettings, evaluate, evaluate_run
 from perception import transforms
+from perception.failure import FailureError
 from tests.mission.fake_run import FakeRun, write_run
 
 KEYS = [
@@ -147,3 +148,12 @@ def test_the_evaluation_is_kept_as_json_beside_the_run(tmp_path: Path) -> None:
     kept = json.loads((run.folder / "evaluation.json").read_text())
     assert {key: kept[key] for key in KEYS} == result.summary()
     assert kept["settings"]["cell_m"] == 0.1
+
+
+def test_a_run_is_evaluated_against_the_world_that_is_named(tmp_path: Path) -> None:
+    run = write_run(tmp_path)
+    other = tmp_path / "other.npz"
+    save_world(dataclasses.replace(run.world, surface=np.full_like(run.world.surface, Surface.OTHER)), other)
+    assert evaluate_run(run.folder, str(other), COARSE).sensed_fraction is None
+    with pytest.raises(FailureError, match="nowhere"):
+        evaluate_run(run.folder, "nowhere", COARSE)

@@ -1,6 +1,7 @@
 """A rehearsal's configuration and its agents' processes; whole missions are flown in ``tests/missions``."""
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from drivers.wire.endpoints import Endpoints
 from mission import rehearsal
 from mission.config import ConfigError, dump_config, load_config
-from mission.rehearsal import Rehearsal, configure
+from mission.rehearsal import Rehearsal, configure, rehearse
 from mission.run import UnreachableError
 
 SCANNER = Endpoints("tcp://127.0.0.1:5601", bulk="tcp://127.0.0.1:5602")
@@ -45,7 +46,17 @@ def test_the_configuration_is_what_a_site_with_such_agents_would_have(tmp_path: 
     assert load_config(path) == config
 
 
-@pytest.mark.parametrize("override", ["settings.room.voxel=0.2", "settings.scanning.step_deg=fine", "clock_rate=-1"])
+@pytest.mark.parametrize(
+    "override",
+    [
+        "settings.room.voxel=0.2",
+        "settings.scanning.step_deg=fine",
+        "settings.scanning.step_deg=-0.2",
+        "settings.room.max_scans=0",
+        "settings.room.growing_rate=1.5",
+        "clock_rate=-1",
+    ],
+)
 def test_an_override_that_breaks_a_rule_is_refused_by_its_key(override: str) -> None:
     with pytest.raises(ConfigError, match=override.partition("=")[0]):
         configure(Rehearsal("school", overrides=(override,)), SCANNER, BASE)
@@ -78,3 +89,16 @@ def _talker(folder: Path) -> Path:
     )
     script.chmod(0o755)
     return script
+
+
+def test_an_agent_that_stays_silent_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rehearsal, "_COMING_UP_S", 0.2)
+    with subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE, text=True) as silent:
+        assert rehearsal._first_line(silent) == ""
+
+
+def test_an_unknown_key_of_a_scenario_is_refused_by_its_name(tmp_path: Path) -> None:
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_text("scanner: {fail_frist: 1}")
+    with pytest.raises(ConfigError, match="fail_frist"):
+        rehearse(Rehearsal("school", scenario=scenario), tmp_path)

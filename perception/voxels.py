@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from perception import labelling
 from perception.failure import FailureError
 from perception.findings import LabelCounts, RoomShape
+from perception.frontier import seen_and_beyond
 from perception.grids import Label, VoxelSpace
 from perception.scan import Scan
 from perception.transforms import Matrix, inverse
@@ -30,7 +31,8 @@ def room_space(
     """The voxels of a room, all OCCLUDED, with the labels of an earlier space carried over.
 
     A voxel belongs to the room when it touches the contour grown by ``margin`` metres (so that wall points fall
-    inside) and the layers from floor to ceiling, both included. V grows and never shrinks: voxels of ``previous``
+    inside), or the strip beyond a side where the contour ends without a wall (:mod:`perception.frontier`), and the
+    layers from floor to ceiling, both included. V grows and never shrinks: voxels of ``previous``
     stay, with their labels. Voxels that are new to a grown space must be labelled again from all scans.
 
     Raises:
@@ -40,7 +42,7 @@ def room_space(
         raise FailureError("VOXELS_BAD_SHAPE", "the room has no volume", vertices=len(shape.contour))
     if previous is not None and previous.size != size:
         raise FailureError("VOXELS_BAD_SHAPE", "the voxel size changed", size=size, previous=previous.size)
-    grown = shapely.make_valid(shapely.Polygon(shape.contour)).buffer(margin, join_style="mitre")
+    grown = seen_and_beyond(shape).buffer(margin, join_style="mitre")
     x0, y0, x1, y1 = grown.bounds
     low = _lattice(np.array([x0, y0, shape.floor_z - SURFACE_NOISE]), size)
     high = _lattice(np.array([x1, y1, shape.ceiling_z + SURFACE_NOISE]), size) + 1

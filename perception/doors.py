@@ -23,12 +23,18 @@ __all__ = ["DoorGates", "before", "beyond", "door_pose", "find_doors"]
 
 UNVERIFIED = "depth"
 """The last gate: all else speaks for a door, but from where the scans were nobody saw that it leads anywhere."""
+HIDDEN = "hidden"
+"""Not even a gate: beams passed to the floor in a strip that is too narrow for a door, but what hides the wall beside it
+may be the opened leaf."""
+NOMINAL_WIDTH = 0.9
+"""Of a door whose other jamb nobody saw, metres."""
 NOMINAL_THICKNESS = 0.15
 """Of a wall whose other face was not seen, metres."""
 
 _AROUND, _ASIDE = 8.0, 4.0
 """How far before, behind and beside a hole points are looked at, metres: a mirror shows the whole room."""
 
+_BRIDGE = round(0.35 / CELL)
 _LOW, _MIDDLE, _TOP = round(0.15 / CELL), round(0.9 / CELL), round(1.85 / CELL)
 
 
@@ -106,7 +112,9 @@ def find_doors(
     for wall in walls_of(shape, cloud[:: max(1, len(cloud) // 200_000)]):
         evidence = gather(wall, scans, ranges)
         points: NDArray[np.float32] | None = None
-        for left, right in _holes(evidence, gates):
+        columns = _columns(evidence, gates)
+        refused += [(_guessed(wall, evidence, part), HIDDEN) for part in _half_hidden(columns, evidence, gates)]
+        for left, right in _holes(columns, gates):
             if points is None:
                 points, deeper = local_points(wall, cloud), gather(wall.moved(gates.free_depth), scans, ranges)
             opening = _measured(wall, evidence, deeper, left, right, points)
@@ -115,7 +123,8 @@ def find_doors(
                 doors.append(door)
             else:
                 refused.append((door, gate))
-    return DoorFindings(tuple(doors), tuple(refused), tuple(door for door, gate in refused if gate == UNVERIFIED))
+    suspects = tuple(door for door, gate in refused if gate in (UNVERIFIED, HIDDEN))
+    return DoorFindings(tuple(doors), tuple(refused), suspects)
 
 
 def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> NDArray[np.float32]:
@@ -129,8 +138,8 @@ def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> NDA
     return np.concatenate(clouds)
 
 
-def _holes(evidence: Evidence, gates: DoorGates) -> list[tuple[int, int]]:
-    """Runs of columns (first, past last) that beams passed at knee and at head height."""
+def _columns(evidence: Evidence, gates: DoorGates) -> NDArray[np.int8]:
+    """Each column of a wall: 1 where beams passed at knee and at head height, 0 where not, -1 where none got there."""
     decided = evidence.decided
     passed = np.ones(len(decided), bool)
     tested = np.zeros(len(decided), bool)
@@ -140,11 +149,58 @@ def _holes(evidence: Evidence, gates: DoorGates) -> list[tuple[int, int]]:
         known = reached >= 0.15 * (band.stop - band.start)
         passed &= ~known | (free >= gates.open_column * reached)
         tested |= known
-    state = np.where(tested, np.where(passed, 1, 0), -1)
-    return [run for run in _runs(state, round(0.35 / CELL)) if (run[1] - run[0]) * CELL > gates.min_width - 2 * CELL]
+    return np.where(tested, np.where(passed, 1, 0), -1).astype(np.int8)
 
 
-def _runs(state: NDArray, bridge: int) -> list[tuple[int, int]]:
+def _holes(columns: NDArray[np.int8], gates: DoorGates) -> list[tuple[int, int]]:
+    """Runs of open columns (first, past last) that may be as wide as a door."""
+    return [run for run in _runs(columns, _BRIDGE) if _wide(run, gates)]
+
+
+def _half_hidden(columns: NDArray[np.int8], evidence: Evidence, gates: DoorGates) -> list[tuple[int, int]]:
+    """Where a door may be (first, past last) of which beams only passed a strip beside its opened leaf."""
+    found = []
+    for first, last in _runs(columns, 0):
+        low, high = first, last
+        while low > 0 and columns[low - 1] != 0:
+            low -= 1
+        while high < len(columns) and columns[high] != 0:
+            high += 1
+        strip = slice(first, last), slice(_LOW, round(0.5 / CELL))
+        to_floor = last - first >= 2 and evidence.share(strip, Beam.OPEN) > 0.5
+        if (
+            to_floor
+            and _wide((low, high), gates)
+            and not any(_wide(run, gates) for run in _runs(columns[low:high], _BRIDGE))
+        ):
+            found.append(_nominal(first, last, low, high))
+    return list(dict.fromkeys(found))
+
+
+def _nominal(first: int, last: int, low: int, high: int) -> tuple[int, int]:
+    """A door's usual width around a strip, from its one known jamb on if it has one."""
+    width = round(NOMINAL_WIDTH / CELL)
+    if high == last:
+        return max(low, last - width), last
+    if low == first:
+        return first, min(high, first + width)
+    middle = (first + last) // 2
+    return max(low, middle - width // 2), min(high, middle + width // 2)
+
+
+def _wide(run: tuple[int, int], gates: DoorGates) -> bool:
+    return (run[1] - run[0]) * CELL > gates.min_width - 2 * CELL
+
+
+def _guessed(wall: Wall, evidence: Evidence, part: tuple[int, int]) -> Door:
+    """A door that nobody has measured yet."""
+    width = (part[1] - part[0]) * CELL
+    x, y = (float(value) for value in wall.at((part[0] + part[1]) / 2 * CELL))
+    outward = float(wall.outward[0]), float(wall.outward[1])
+    return Door(x, y, outward, width, 0.0, evidence.counts.shape[2] * CELL, 0.0, NOMINAL_THICKNESS)
+
+
+def _runs(state: NDArray[np.int8], bridge: int) -> list[tuple[int, int]]:
     """Runs of 1, joined across at most ``bridge`` unknown (-1) entries."""
     runs: list[tuple[int, int]] = []
     for i in np.flatnonzero(state == 1):

@@ -134,3 +134,18 @@ def test_pane_in_the_doorway_is_suspected():
     ]
     findings = find(holed_wall(), *grid)
     assert not findings.doors and "glass" in gates(findings)
+
+
+def test_a_leaf_that_hides_all_but_a_strip_of_its_door_makes_it_a_suspect():
+    opened = leaf((LEFT + 0.02, DEPTH), -np.pi / 2)
+    beside = find(holed_wall(), opened, stations=((1.0, 1.8),))
+    assert beside.doors == ()
+    assert "hidden" in gates(beside)
+    (suspect,) = beside.suspects
+    assert (suspect.x, suspect.y) == pytest.approx(((LEFT + RIGHT) / 2, DEPTH), abs=0.15)
+    assert len(find(holed_wall(), opened, stations=((1.0, 1.8), (3.0, 2.6))).doors) == 1
+
+
+def test_a_slit_between_two_cupboards_is_no_suspect():
+    cupboards = [box((1.0, DEPTH - 0.5, 0), (2.8, DEPTH, 2.0)), box((3.0, DEPTH - 0.5, 0), (5.0, DEPTH, 2.0))]
+    assert find([box((0, DEPTH, 0), (LENGTH, DEPTH + WALL, HEIGHT))], *cupboards).suspects == ()

@@ -24,8 +24,7 @@ __all__ = ["DoorGates", "before", "beyond", "door_pose", "find_doors"]
 UNVERIFIED = "depth"
 """The last gate: all else speaks for a door, but from where the scans were nobody saw that it leads anywhere."""
 HIDDEN = "hidden"
-"""Not even a gate: beams passed to the floor in a strip that is too narrow for a door, but what hides the wall beside it
-may be the opened leaf."""
+"""Beams passed to the floor in a strip too narrow for a door, but what hides the wall beside it may be its leaf."""
 NOMINAL_WIDTH = 0.9
 """Of a door whose other jamb nobody saw, metres."""
 NOMINAL_THICKNESS = 0.15
@@ -168,11 +167,7 @@ def _half_hidden(columns: NDArray[np.int8], evidence: Evidence, gates: DoorGates
             high += 1
         strip = slice(first, last), slice(_LOW, round(0.5 / CELL))
         to_floor = last - first >= 2 and evidence.share(strip, Beam.OPEN) > 0.5
-        if (
-            to_floor
-            and _wide((low, high), gates)
-            and not any(_wide(run, gates) for run in _runs(columns[low:high], _BRIDGE))
-        ):
+        if to_floor and _wide((low, high), gates) and not _holes(columns[low:high], gates):
             found.append(_nominal(first, last, low, high))
     return list(dict.fromkeys(found))
 

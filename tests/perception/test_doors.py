@@ -138,12 +138,12 @@ def test_pane_in_the_doorway_is_suspected():
 
 def test_a_leaf_that_hides_all_but_a_strip_of_its_door_makes_it_a_suspect():
     opened = leaf((LEFT + 0.02, DEPTH), -np.pi / 2)
-    beside = find(holed_wall(), opened, stations=((1.0, 1.8),))
+    beside = find(holed_wall(), opened, stations=((1.0, 1.2),))
     assert beside.doors == ()
     assert "hidden" in gates(beside)
     (suspect,) = beside.suspects
     assert (suspect.x, suspect.y) == pytest.approx(((LEFT + RIGHT) / 2, DEPTH), abs=0.15)
-    assert len(find(holed_wall(), opened, stations=((1.0, 1.8), (3.0, 2.6))).doors) == 1
+    assert len(find(holed_wall(), opened, stations=((1.0, 1.2), (3.0, 2.6))).doors) == 1
 
 
 def test_a_slit_between_two_cupboards_is_no_suspect():

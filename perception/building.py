@@ -259,6 +259,12 @@ class Building:
         """A door will never be passed, such as one too narrow."""
         return self._with_edge(replace(self.edge(door_id), state="refused", reason=reason))
 
+    def reconsider_doors(self) -> "Building":
+        """Every refused door is as if it had never been tried."""
+        again = {edge.id: replace(edge, state="unexplored", reason="", attempts=0) for edge in self.doors}
+        doors = tuple(again[edge.id] if edge.state == "refused" else edge for edge in self.doors)
+        return replace(self, doors=doors)
+
     def unfinished_doors(self) -> tuple[DoorEdge, ...]:
         """Doors with something unknown behind them."""
         return tuple(edge for edge in self.doors if edge.state in ("unexplored", "deferred", "refused"))

@@ -1,27 +1,23 @@
 """Which part of the cloud is the room: ceiling image, its segments, the contour H and the interior (section 3.1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
 import shapely
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from perception.columns import CELL, SLICE, Image, Volume, volume_of
 from perception.failure import FailureError
 from perception.findings import Door, Polygon, RoomShape
 from perception.polar import crossed_between
-from perception.segmentation import Levels, floor_and_ceiling, one_per_voxel
+from perception.rasters import picked
+from perception.segmentation import Levels, floor_and_ceiling
+from perception.surroundings import REACH, inside_ring, relevant
 from perception.walls import Views, fit_walls
 
-Image = NDArray[np.bool_]
-
-CELL = 0.05
-"""Side of a pixel of the ceiling image, metres."""
-REACH = 30.0
-"""Half side of the window around the seed that is looked at, metres."""
 GAP = 0.15
 """Half of the widest gap between ceiling points that is bridged, metres."""
 NECK = 0.30
@@ -32,43 +28,9 @@ SEED_REACH = 1.5
 """The room's segment is this near to the seed, metres; right around the scanner its ceiling is not seen."""
 DOOR_HEIGHT = 2.1
 """Above it the wall over a door is closed, metres over the floor."""
-_SLICE = 0.10
 _OVERHEAD = np.deg2rad(60.0)
 _AZIMUTH = np.deg2rad(0.5)
 _DIRECTIONS = 720
-
-
-@dataclass(frozen=True)
-class _Volume:
-    """Which 10 cm slices of each pixel's column hold points: ``(rows, columns, slices)``, from the floor upwards."""
-
-    slices: NDArray[np.bool_]
-    origin: NDArray[np.float64]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self.slices.shape[0], self.slices.shape[1]
-
-    def band(self, low: float, high: float) -> NDArray[np.bool_]:
-        """The slices that lie wholly between two heights over the floor; at least one."""
-        first = int(np.ceil(low / _SLICE - 1e-6))
-        last = int(min(high / _SLICE + 1e-6, self.slices.shape[2]))
-        return self.slices[:, :, first : max(last, first + 1)]
-
-    def any(self, low: float, high: float) -> Image:
-        """Pixels with a point between two heights over the floor."""
-        return np.logical_or.reduce(self.band(low, high), axis=2)
-
-    def pixels(self, xy: NDArray[np.floating]) -> NDArray[np.int64]:
-        """(row, column) of map positions ``(N, 2)``."""
-        return np.floor((xy - self.origin) / CELL).astype(np.int64)[:, ::-1]
-
-    def inside(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.all((pixels >= 0) & (pixels < self.shape), axis=1)
-
-    def corners(self, outline: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Map positions of pixel centres given as (column, row)."""
-        return (outline + 0.5) * CELL + self.origin
 
 
 def room_shape(
@@ -97,6 +59,7 @@ def room_shape(
         seed: (x, y) in the room meant, map frame.
         stations: ``(S, 3)`` positions of the scanner, map frame; the disc of ceiling that each cannot see is filled.
         station_of: ``(N,)`` row of ``stations`` that each point was seen from; tells the two faces of a wall apart.
+            Given if and only if ``stations`` are.
         doors: known doors of the building; a scanner under a door sees neither its lintel nor the wall beside it, so
             the wall there is drawn in.
         others: contours of rooms already known, which this one may not enter.
@@ -106,10 +69,10 @@ def room_shape(
         FailureError: ``CONTOUR_NOT_FOUND`` if there is no ceiling (or free space) within 1.5 m of the seed.
     """
     centre = np.asarray(seed, float)
-    chosen = np.flatnonzero(np.all(np.abs(points[:, :2] - centre) < REACH, axis=1))
-    chosen = chosen[one_per_voxel(points[chosen], 0.025, limit=2_000_000)]
-    views = Views(points[chosen].astype(float), stations, None if station_of is None else station_of[chosen])
-    volume = _volume(views.points, levels)
+    views = relevant(points, stations, station_of, centre, others)
+    if len(views.points) == 0:
+        raise FailureError("CONTOUR_NOT_FOUND", f"no point around ({seed[0]:.2f}, {seed[1]:.2f})")
+    volume = volume_of(views.points, levels)
     skimmed = _skimmed(volume, views, levels)
     barrier = _barriers(volume, levels, skimmed) | _drawn_doors(volume, doors)
     covered = _covered(volume, views, levels, barrier) | skimmed
@@ -128,46 +91,22 @@ def interior_mask(points: NDArray[np.floating], shape: RoomShape, margin: float 
     x0, y0, x1, y1 = polygon.bounds
     mask &= (points[:, 0] >= x0) & (points[:, 0] <= x1) & (points[:, 1] >= y0) & (points[:, 1] <= y1)
     near = np.flatnonzero(mask)
-    mask[near] = _inside(points[near, :2], np.asarray(polygon.exterior.coords))
+    mask[near] = inside_ring(points[near, :2], np.asarray(polygon.exterior.coords))
     return mask
 
 
-def _inside(xy: NDArray[np.floating], ring: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Even-odd rule, one vectorised step per side: much faster than a library call per point."""
-    inside = np.zeros(len(xy), bool)
-    for (x0, y0), (x1, y1) in pairwise(ring):
-        if y0 != y1:
-            crosses = (xy[:, 1] >= min(y0, y1)) & (xy[:, 1] < max(y0, y1))
-            inside ^= crosses & (xy[:, 0] < x0 + (xy[:, 1] - y0) * ((x1 - x0) / (y1 - y0)))
-    return inside
-
-
-def _volume(points: NDArray[np.floating], levels: Levels) -> _Volume:
-    top = levels.ceilings[-1].high if levels.ceilings else float(np.percentile(points[:, 2], 99.5))
-    height = top - levels.floor.peak
-    origin = np.floor(points[:, :2].min(axis=0, initial=0.0) / CELL - 8) * CELL
-    columns, rows = np.ceil((points[:, :2].max(axis=0) - origin) / CELL).astype(int) + 8
-    slices = np.zeros((rows, columns, int(np.ceil(height / _SLICE)) + 1), bool)
-    z = np.floor((points[:, 2] - levels.floor.peak) / _SLICE).astype(int)
-    kept = (z >= 0) & (z < slices.shape[2])
-    column, row = np.floor((points[kept, :2] - origin) / CELL).astype(int).T
-    slices[row, column, z[kept]] = True
-    return _Volume(slices, origin)
-
-
-def _barriers(volume: _Volume, levels: Levels, skimmed: Image) -> Image:
+def _barriers(volume: Volume, levels: Levels, skimmed: Image) -> Image:
     """Pixels of walls and lintels: columns filled between door height and the main ceiling, but for beams."""
     height = _main_ceiling(volume, levels)
     bottom = min(DOOR_HEIGHT, height - 0.3)
-    upper = cv2.dilate(volume.band(bottom, height - 0.08).astype(np.uint8), _disc(1.0))
-    upper = upper[:, :, None] if upper.ndim == 2 else upper
-    closed = upper.mean(axis=2) >= 0.7
+    upper = [cv2.dilate(level.astype(np.uint8), _disc(1.0)) for level in volume.band(bottom, height - 0.08)]
+    closed = np.sum(upper, axis=0, dtype=np.uint8) >= 0.7 * len(upper)
     middle, below = (cv2.dilate(volume.any(*b).astype(np.uint8), _disc(1.0)) > 0 for b in ((1.0, 1.9), (0.0, 0.9)))
     lintel = closed & below & ~middle
     return closed & ~(lintel & (skimmed | _longer_than(lintel, LINTEL_SPAN)))
 
 
-def _drawn_doors(volume: _Volume, doors: Sequence[Door]) -> Image:
+def _drawn_doors(volume: Volume, doors: Sequence[Door]) -> Image:
     """The wall at each door, a metre further on both sides than the opening."""
     image = np.zeros(volume.shape, np.uint8)
     for door in doors:
@@ -178,11 +117,11 @@ def _drawn_doors(volume: _Volume, doors: Sequence[Door]) -> Image:
     return image > 0
 
 
-def _main_ceiling(volume: _Volume, levels: Levels) -> float:
+def _main_ceiling(volume: Volume, levels: Levels) -> float:
     """Height up to which walls are filled: of several ceilings the widest, for a lowered part has a face above it."""
     if levels.ceiling is not None:
         return levels.ceiling.peak - levels.floor.peak
-    return (volume.slices.shape[2] - 1) * _SLICE
+    return (len(volume.slices) - 1) * SLICE
 
 
 def _longer_than(mask: Image, span: float) -> Image:
@@ -192,7 +131,7 @@ def _longer_than(mask: Image, span: float) -> Image:
     return (extent > span)[labels]
 
 
-def _covered(volume: _Volume, views: Views, levels: Levels, barrier: Image) -> Image:
+def _covered(volume: Volume, views: Views, levels: Levels, barrier: Image) -> Image:
     """Pixels with something overhead, or under the disc of the ceiling that a station could not see.
 
     What hangs below the ceiling (a lowered part, a beam, a lamp) covers the room as well as the ceiling it hides.
@@ -202,43 +141,45 @@ def _covered(volume: _Volume, views: Views, levels: Levels, barrier: Image) -> I
     image = volume.any(DOOR_HEIGHT, np.inf)
     for index, station in enumerate([] if views.stations is None else views.stations):
         blind = (levels.ceilings[-1].peak - station[2]) / np.tan(_OVERHEAD) + 2 * CELL
-        own = views.points if views.station_of is None else views.points[views.station_of == index]
-        image |= _line_of_sight(volume, barrier, station, np.minimum(blind, _furthest(own, station)))
+        furthest = _furthest(views.of(index), station)
+        image |= _line_of_sight(volume, barrier, station, np.minimum(blind, furthest))
     return image
 
 
 def _furthest(points: NDArray[np.floating], station: NDArray[np.floating]) -> NDArray[np.float64]:
     """Distance of the furthest point in each of 720 directions; 0 where a wall nearer than the minimum range is."""
-    offset = points[:, :2] - station[:2]
-    sector = np.floor((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1.0) * _DIRECTIONS).astype(int)
-    furthest = np.zeros(_DIRECTIONS)
-    np.maximum.at(furthest, sector % _DIRECTIONS, np.hypot(offset[:, 0], offset[:, 1]))
     # The beams of a coarse scan leave directions empty between them.
-    return maximum_filter1d(furthest, 5, mode="wrap")
+    return maximum_filter1d(_furthest_seen(points, float(station[0]), float(station[1])), 5, mode="wrap")
 
 
-def _skimmed(volume: _Volume, views: Views, levels: Levels) -> Image:
+@njit(cache=True)
+def _furthest_seen(points: NDArray[np.floating], x: float, y: float) -> NDArray[np.float64]:
+    furthest = np.zeros(_DIRECTIONS)
+    for n in range(len(points)):
+        dx, dy = points[n, 0] - x, points[n, 1] - y
+        sector = int(np.arctan2(dy, dx) / (2 * np.pi) % 1.0 * _DIRECTIONS) % _DIRECTIONS
+        furthest[sector] = max(furthest[sector], np.sqrt(dx * dx + dy * dy))
+    return furthest
+
+
+def _skimmed(volume: Volume, views: Views, levels: Levels) -> Image:
     """Pixels that beams crossed above door height on their way to the ceiling further out, where it is sparse."""
     image = np.zeros(volume.shape, bool)
-    if views.stations is None or views.station_of is None:
+    if views.stations is None:
         return image
-    rows, columns = np.indices(volume.shape).reshape(2, -1)
-    places = volume.corners(np.stack([columns, rows], axis=1))
     for index, station in enumerate(views.stations):
+        seen = views.of(index)
         for level in levels.ceilings:
-            own = views.points[(views.station_of == index) & level.contains(views.points[:, 2]), :2]
+            own = seen[level.contains(seen[:, 2])]
             clearance = min(level.peak - levels.floor.peak - DOOR_HEIGHT - 0.1, 0.5)
             if len(own) == 0 or clearance <= 0.0:
                 continue
             above = level.peak - station[2]
-            crossed = crossed_between(own - station[:2], places - station[:2], above, clearance, _AZIMUTH, REACH)
-            image |= crossed.reshape(volume.shape)
+            image |= crossed_between(own, station, volume.frame, above, clearance, _AZIMUTH, REACH)
     return image
 
 
-def _line_of_sight(
-    volume: _Volume, barrier: Image, station: NDArray[np.floating], reach: NDArray[np.floating]
-) -> Image:
+def _line_of_sight(volume: Volume, barrier: Image, station: NDArray[np.floating], reach: NDArray[np.floating]) -> Image:
     """Pixels within ``reach`` (by direction) of the station that no barrier hides from it."""
     angles = (np.arange(_DIRECTIONS) + 0.5) * (2 * np.pi / _DIRECTIONS)
     radii = np.arange(0.0, max(float(reach.max()), CELL), CELL / 2)
@@ -256,16 +197,16 @@ def _line_of_sight(
     return image
 
 
-def _crossed(volume: _Volume, views: Views, levels: Levels) -> Image:
+def _crossed(volume: Volume, views: Views, levels: Levels) -> Image:
     """Free space without a ceiling: what beams crossed above door height, else the floor that was seen."""
     image = np.zeros(volume.shape, np.uint8)
-    height = views.points[:, 2] - levels.floor.peak
-    if views.stations is None or views.station_of is None:
+    if views.stations is None:
         row, column = volume.pixels(views.points[levels.floor.contains(views.points[:, 2]), :2]).T
         image[row, column] = 1
         return image > 0
     for index, station in enumerate(views.stations):
-        furthest = _furthest(views.points[(views.station_of == index) & (height > DOOR_HEIGHT)], station)
+        seen = views.of(index)
+        furthest = _furthest(seen[seen[:, 2] > levels.floor.peak + DOOR_HEIGHT], station)
         angles = (np.arange(_DIRECTIONS) + 0.5) * (2 * np.pi / _DIRECTIONS)
         ring = station[:2] + furthest[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         cv2.fillPoly(image, [volume.pixels(ring)[:, ::-1].astype(np.int32)], 1)
@@ -273,7 +214,7 @@ def _crossed(volume: _Volume, views: Views, levels: Levels) -> Image:
 
 
 def _segment(
-    volume: _Volume, covered: Image, barrier: Image, seed: NDArray[np.floating], previous: RoomShape | None
+    volume: Volume, covered: Image, barrier: Image, seed: NDArray[np.floating], previous: RoomShape | None
 ) -> Image:
     """The labelled segment of the ceiling image that is the room, holes filled."""
     bridged = cv2.morphologyEx((covered & ~barrier).astype(np.uint8), cv2.MORPH_CLOSE, _disc(GAP / CELL))
@@ -287,7 +228,7 @@ def _segment(
 
 
 def _label_of_room(
-    volume: _Volume, labels: NDArray[np.int32], count: int, seed: NDArray[np.floating], previous: RoomShape | None
+    volume: Volume, labels: NDArray[np.int32], count: int, seed: NDArray[np.floating], previous: RoomShape | None
 ) -> int:
     pixels = np.argwhere(labels > 0)
     distance = np.hypot(*(pixels - volume.pixels(seed[None])[0]).T) * CELL if len(pixels) else np.array([np.inf])
@@ -318,7 +259,7 @@ def _part_with(mask: Image, core: Image) -> Image:
     return (labels > 0) & np.isin(labels, np.unique(labels[core & mask]))
 
 
-def _outline(volume: _Volume, region: Image) -> Polygon:
+def _outline(volume: Volume, region: Image) -> Polygon:
     """Outer border of a region, counter-clockwise in the map frame, through the outer edges of its pixels."""
     doubled = cv2.resize(region.astype(np.uint8), None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -327,17 +268,16 @@ def _outline(volume: _Volume, region: Image) -> Polygon:
     return np.asarray(shapely.Polygon(outline).normalize().exterior.coords)[:-1][::-1]
 
 
-def _drawn(volume: _Volume, polygon: NDArray[np.floating]) -> Image:
+def _drawn(volume: Volume, polygon: NDArray[np.floating]) -> Image:
     image = np.zeros(volume.shape, np.uint8)
     if len(polygon) >= 3:
         cv2.fillPoly(image, [volume.pixels(polygon[:, :2])[:, ::-1].astype(np.int32)], 1)
     return image > 0
 
 
-def _ceiling_height(points: NDArray[np.floating], volume: _Volume, region: Image, levels: Levels) -> float:
+def _ceiling_height(points: NDArray[np.floating], volume: Volume, region: Image, levels: Levels) -> float:
     """Highest wide ceiling over this region; without one, the height that its walls reach."""
-    pixels = volume.pixels(points[:, :2])
-    own = points[region[pixels[:, 0], pixels[:, 1]]]
+    own = points[picked(region, points, volume.frame)]
     ceilings = floor_and_ceiling(own, levels.floor.peak, 0.2).ceilings if levels.ceilings else ()
     return ceilings[-1].peak if ceilings else float(np.percentile(points[:, 2], 99.5))
 

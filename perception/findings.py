@@ -1,5 +1,6 @@
 """What each stage reports: small values of poses and figures that travel between processes and into the journal."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,6 +48,8 @@ class Registration:
         correction_m, correction_rad: distance and angle from the guess to the result.
         method: ``anchor`` (first scan), ``icp`` or ``global``.
         conflict: share of the surface that both sides could test which one of them saw through.
+        turn_hold: how well the pairs hold the turn that they hold least, 0 where the scan turns freely.
+        turn_axis: the axis of that turn.
     """
 
     map_from_scanner: Matrix
@@ -59,6 +62,35 @@ class Registration:
     correction_rad: float
     method: str
     conflict: float = 0.0
+    turn_hold: float = 1.0
+    turn_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class PoseAdjustment:
+    """Result of the building's pose graph: where all scans together say that each was taken.
+
+    Args:
+        poses: ``map_from_scanner`` by scan id; the old ones where ``reason`` says why they were kept.
+        residuals: of each scan that was compared, the root mean square distance of its surface from that of the
+            scans it shares surface with, metres.
+        compared: pairs of scans that were compared and fitted.
+        disbelieved: those of them that contradicted the others.
+        rms_before, rms_after: how far the poses were, and are, from what the pairs want, metres.
+        moved_m: how far the scan moved that moved furthest, metres.
+        reason: why the poses were left as they were; empty when they were not.
+        refused: pairs that did not fit, with the code of the refusal.
+    """
+
+    poses: Mapping[str, Matrix]
+    residuals: Mapping[str, float]
+    compared: int
+    disbelieved: tuple[tuple[str, str], ...]
+    rms_before: float
+    rms_after: float
+    moved_m: float
+    reason: str = ""
+    refused: tuple[tuple[str, str, str], ...] = ()
 
 
 @dataclass(frozen=True)

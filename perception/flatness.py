@@ -1,8 +1,10 @@
 """The flatness map F(t): irregular zones of the floor from its normals (paper section 3.2, Eq. 1 and 2)."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, median_filter
 
@@ -69,14 +71,8 @@ def flatness_map(
         station: (x, y, z) of the scanner; the noise of a height is ``noise`` times the sine of the beam's slope, which
             is small far away. Without it the full noise is assumed everywhere.
     """
-    origin = np.floor(floor_points[:, :2].min(axis=0, initial=0.0) / cell) * cell if len(floor_points) else np.zeros(2)
-    columns, rows = (
-        (np.floor((floor_points[:, :2].max(axis=0) - origin) / cell + 1e-6).astype(int) + 1)
-        if len(floor_points)
-        else (1, 1)
-    )
-    frame = Grid(np.full((int(rows), int(columns)), np.nan), (float(origin[0]), float(origin[1])), cell)
-    planes = _planes(floor_points.astype(float), frame, noise, station)
+    frame = _frame(floor_points, cell)
+    planes = _planes(floor_points, frame, noise, station)
     told = SIGMAS * planes.angle_sigma < 2 * GRADIENT_LIMIT
     angle = _image(frame, planes.cell, np.where(told, planes.angle, np.nan))
     height = _image(frame, planes.cell, planes.height)
@@ -91,58 +87,106 @@ def flatness_map(
     return Flatness(*(frame.with_data(data) for data in (cells, angle, gradient, height)))
 
 
-def _planes(points: NDArray[np.float64], frame: Grid, noise: float, station: tuple[float, ...] | None) -> _Planes:
-    """Scatter matrices of all cells at once: points sorted by cell, sums by ``add.reduceat``."""
-    row, column = frame.cells_of(points).T
-    key = row * frame.shape[1] + column
-    off_centre = np.hypot(*(points[:, :2] - frame.centres_of(np.stack([row, column], axis=1))).T)
-    order = np.lexsort((off_centre, key))
-    key, points = key[order], points[order]
-    starts = np.flatnonzero(np.diff(key, prepend=-1))
-    counts = np.diff(np.append(starts, len(key)))
-    enough = np.repeat(counts >= MIN_POINTS, counts)
-    key, points = key[enough], points[enough]
-    counts = counts[counts >= MIN_POINTS]
-    if len(counts) == 0:
-        empty = np.empty(0)
-        return _Planes(np.empty(0, np.int64), empty, empty, empty, empty)
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    # The order within a cell puts the point nearest to its centre first: the reference point p_r.
-    offset = points - np.repeat(points[starts], counts, axis=0)
-    weight = _weights(offset, starts, counts)
-    weighted = offset * weight[:, None]
-    scatter = np.add.reduceat(weighted[:, :, None] * weighted[:, None, :], starts)
+def _frame(points: NDArray[np.floating], cell: float) -> Grid:
+    """The cells, at whole multiples of their side, that hold all points; a single one for no points."""
+    x, y = (points[:, 0], points[:, 1]) if len(points) else (np.zeros(1), np.zeros(1))
+    left, low = (int(np.floor(axis.min() / cell)) for axis in (x, y))
+    columns, rows = (int(np.floor(axis.max() / cell)) + 1 - first for axis, first in ((x, left), (y, low)))
+    return Grid(np.full((rows, columns), np.nan), (left * cell, low * cell), cell)
+
+
+def _planes(points: NDArray[np.floating], frame: Grid, noise: float, station: tuple[float, ...] | None) -> _Planes:
+    """The plane of each cell that holds enough points, from the sums of Eq. (1) over them."""
+    sums = _cell_sums(points, frame.shape, *frame.origin, frame.resolution)
+    cell = np.flatnonzero(sums.number >= MIN_POINTS)
+    count, scatter, moment = sums.number[cell], sums.scatter[cell], sums.moment[cell]
     eigenvalues, eigenvectors = np.linalg.eigh(scatter)
     angle = np.arccos(np.clip(np.abs(eigenvectors[:, 2, 0]), 0.0, 1.0))
-    sigma = noise * _slope_factor(points[starts], station)
+    sigma = noise * _slope_factor(points[sums.reference[cell]].astype(float), station)
     return _Planes(
-        key[starts],
+        cell,
         angle,
-        np.add.reduceat(points[:, 2], starts) / counts,
-        sigma * _leverage(weighted, weight, starts, eigenvalues[:, 1]),
-        sigma / np.sqrt(counts),
+        sums.height[cell] / count,
+        sigma * _leverage(moment, eigenvalues[:, 1]),
+        sigma / np.sqrt(count),
     )
 
 
-def _weights(offset: NDArray[np.float64], starts: NDArray[np.intp], counts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Eq. (2): 1 at the reference point, 0 at the furthest point of the cell."""
-    distance = np.linalg.norm(offset, axis=1)
-    largest = np.repeat(np.maximum.reduceat(distance, starts), counts)
-    # d_min is zero, for the reference point is one of the cell's points.
-    return np.divide(largest - distance, largest, out=np.ones_like(distance), where=largest > 0)
+class _CellSums(NamedTuple):
+    """Sums over the points of each cell, flat: offsets are from the reference point p_r and weighted by Eq. (2).
+
+    Args:
+        number: of points.
+        height: sum of z.
+        reference: index of p_r, the point nearest to the cell's centre.
+        scatter: ``(cells, 3, 3)``, sum of the products of weighted offsets.
+        moment: ``(cells, 2)``, sum of the weighted offsets in x and y, weighted once more.
+    """
+
+    number: NDArray[np.int64]
+    height: NDArray[np.float64]
+    reference: NDArray[np.int64]
+    scatter: NDArray[np.float64]
+    moment: NDArray[np.float64]
 
 
-def _leverage(
-    weighted: NDArray[np.float64], weight: NDArray[np.float64], starts: NDArray[np.intp], spread: NDArray[np.float64]
-) -> NDArray[np.float64]:
+@njit(cache=True)
+def _cell_sums(points: NDArray[np.floating], shape: tuple[int, int], x: float, y: float, side: float) -> _CellSums:
+    """Three passes over the points: which is nearest to the centre, how far is the furthest from it, the sums."""
+    cells = shape[0] * shape[1]
+    count, height = np.zeros(cells, np.int64), np.zeros(cells)
+    reference, nearest = np.zeros(cells, np.int64), np.full(cells, np.inf)
+    key = np.empty(len(points), np.int32)
+    for n in range(len(points)):
+        across, along = (points[n, 0] - x) / side, (points[n, 1] - y) / side
+        # A point on the frame's edge may be rounded off it.
+        column = min(max(int(np.floor(across)), 0), shape[1] - 1)
+        row = min(max(int(np.floor(along)), 0), shape[0] - 1)
+        cell = row * shape[1] + column
+        off_centre = (across - column - 0.5) ** 2 + (along - row - 0.5) ** 2
+        key[n] = cell
+        count[cell] += 1
+        height[cell] += points[n, 2]
+        if off_centre < nearest[cell]:
+            nearest[cell], reference[cell] = off_centre, n
+    furthest = np.zeros(cells)
+    for n in range(len(points)):
+        distance = np.sqrt(_squared(*_offset(points, n, reference[key[n]])))
+        furthest[key[n]] = max(furthest[key[n]], distance)
+    scatter, moment = np.zeros((cells, 3, 3)), np.zeros((cells, 2))
+    for n in range(len(points)):
+        cell = key[n]
+        dx, dy, dz = _offset(points, n, reference[cell])
+        # Eq. (2): 1 at p_r, where the distance is least, namely zero; 0 at the furthest point of the cell.
+        weight = 1.0 - np.sqrt(_squared(dx, dy, dz)) / furthest[cell] if furthest[cell] > 0 else 1.0
+        moment[cell, 0] += weight * weight * dx
+        moment[cell, 1] += weight * weight * dy
+        offset = (weight * dx, weight * dy, weight * dz)
+        for i in range(3):
+            for j in range(3):
+                scatter[cell, i, j] += offset[i] * offset[j]
+    return _CellSums(count, height, reference, scatter, moment)
+
+
+@njit(cache=True)
+def _offset(points: NDArray[np.floating], n: int, reference: int) -> tuple[float, float, float]:
+    p, r = points[n], points[reference]
+    return float(p[0]) - float(r[0]), float(p[1]) - float(r[1]), float(p[2]) - float(r[2])
+
+
+@njit(cache=True)
+def _squared(x: float, y: float, z: float) -> float:
+    return x * x + y * y + z * z
+
+
+def _leverage(moment: NDArray[np.float64], spread: NDArray[np.float64]) -> NDArray[np.float64]:
     """Standard deviation of the normal's angle per standard deviation of a height.
 
     The points' own errors divide by the root of the spread; the error of the reference point shifts them all and
     counts with their first moment.
     """
-    moment = np.linalg.norm(np.add.reduceat(weighted[:, :2] * weight[:, None], starts), axis=1)
     spread = np.maximum(spread, 1e-12)
-    return np.sqrt(1.0 / spread + np.square(moment / spread))
+    return np.asarray(np.sqrt(1.0 / spread + np.square(np.linalg.norm(moment, axis=1) / spread)))
 
 
 def _slope_factor(points: NDArray[np.float64], station: tuple[float, ...] | None) -> NDArray[np.float64]:

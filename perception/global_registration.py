@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from perception import transforms
 from perception.failure import FailureError
 from perception.findings import Registration
-from perception.registration import Reference, plausibility, register
+from perception.judgement import NEAR_ODOMETRY, RegistrationLimits, is_held
+from perception.registration import Reference, plausibility, register, settle
 from perception.surfels import Surface, Surfels
 from perception.transforms import Matrix
 
@@ -25,7 +26,9 @@ _SLAB_HEIGHT = 0.8
 _YAW_STEP = np.deg2rad(3.0)
 _SAMPLES = 1200
 _REACH = 15.0
-_REFINED = 8
+_HYPOTHESES = 24
+_FINISHED = 6
+_RIVAL_SCORE = 0.6
 
 
 def register_globally(
@@ -34,7 +37,7 @@ def register_globally(
     near: Matrix,
     radius: float = 3.0,
     yaw: float = float(np.pi),
-    rival: float = 0.95,
+    rival: float = 0.9,
 ) -> Registration:
     """Find the pose of a scan within ``radius`` metres and ``yaw`` radians of a rough guess.
 
@@ -50,16 +53,57 @@ def register_globally(
     Raises:
         FailureError: ``REG_AMBIGUOUS`` when two different poses fit alike, ``REG_DIVERGED`` when there is no surface.
     """
+    hypotheses = _hypotheses(source.surfels, reference.surfels, near, radius, yaw)
     found: list[Registration] = []
-    for hypothesis in _hypotheses(source.surfels, reference.surfels, near, radius, yaw):
-        result = register(source, reference, hypothesis, "global", starts=(0,))
+    for rest in _hollows(source, reference, hypotheses)[:_FINISHED]:
+        result = register(source, reference, rest.map_from_scanner, "global", starts=(1,))
         if all(not _same(result, other) for other in found):
             found.append(result)
     if not found:
         raise FailureError("REG_DIVERGED", "there is no wall to search along", surfels=len(source.surfels))
-    found.sort(key=plausibility, reverse=True)
-    best = found[0]
-    rivals = [r for r in found[1:] if plausibility(r) >= rival * plausibility(best)]
+    best, *others = sorted(found, key=plausibility, reverse=True)
+    _refuse_rivals(best, others, rival)
+    correction_m, correction_rad = transforms.difference(near, best.map_from_scanner)
+    return replace(best, correction_m=correction_m, correction_rad=correction_rad)
+
+
+def challenge(
+    found: Registration,
+    source: Surface,
+    reference: Reference,
+    guess: Matrix,
+    expected_error: tuple[float, float],
+    limits: RegistrationLimits = NEAR_ODOMETRY,
+    rival: float = 0.9,
+) -> None:
+    """Return if no other pose that odometry would allow fits about as well as the one found.
+
+    ICP comes to rest in the first hollow. Along a row of equal niches that is the one nearest to the guess, right or
+    not; so the neighbourhood is searched for others.
+
+    Args:
+        found: from ``guess`` by :func:`registration.register`, judged good with the same ``expected_error``.
+        rival: share of the plausibility of ``found`` from which on another pose counts as just as good.
+
+    Raises:
+        FailureError: ``REG_AMBIGUOUS``.
+    """
+    radius, yaw = limits.allowed(expected_error)
+    others = []
+    hypotheses = _hypotheses(source.surfels, reference.surfels, guess, radius, yaw, found.map_from_scanner)
+    for rest in _hollows(source, reference, hypotheses):
+        distance, angle = transforms.difference(guess, rest.map_from_scanner)
+        if distance <= radius and angle <= yaw and not _same(rest, found):
+            others.append(register(source, reference, rest.map_from_scanner, found.method, starts=(1,)))
+        if len(others) == _FINISHED:
+            break
+    others = [other for other in others if not _same(other, found)]
+    _refuse_rivals(found, sorted(others, key=plausibility, reverse=True), rival)
+
+
+def _refuse_rivals(best: Registration, others: list[Registration], rival: float) -> None:
+    # A pose that slides or turns freely is not found but left where it was: it does not speak against one that is held.
+    rivals = [r for r in others if plausibility(r) >= rival * plausibility(best) and (is_held(r) or not is_held(best))]
     if rivals:
         distance, angle = transforms.difference(best.map_from_scanner, rivals[0].map_from_scanner)
         raise FailureError(
@@ -69,8 +113,16 @@ def register_globally(
             poses=[r.map_from_scanner.tolist() for r in (best, rivals[0])],
             fitness=[r.fitness for r in (best, rivals[0])],
         )
-    correction_m, correction_rad = transforms.difference(near, best.map_from_scanner)
-    return replace(best, correction_m=correction_m, correction_rad=correction_rad)
+
+
+def _hollows(source: Surface, reference: Reference, hypotheses: list[Matrix]) -> list[Registration]:
+    """The different places where a scan comes to rest from the hypotheses, the most plausible first."""
+    rests: list[Registration] = []
+    for hypothesis in hypotheses:
+        rest = settle(source, reference, hypothesis)
+        if all(not _same(rest, other) for other in rests):
+            rests.append(rest)
+    return sorted(rests, key=plausibility, reverse=True)
 
 
 def _same(a: Registration, b: Registration) -> bool:
@@ -78,8 +130,13 @@ def _same(a: Registration, b: Registration) -> bool:
     return distance < 0.2 and angle < np.deg2rad(5.0)
 
 
-def _hypotheses(source: Surfels, reference: Surfels, near: Matrix, radius: float, yaw: float) -> list[Matrix]:
-    """The best peaks of the correlation over yaw, x and y, as ``map_from_scanner``."""
+def _hypotheses(
+    source: Surfels, reference: Surfels, near: Matrix, radius: float, yaw: float, besides: Matrix | None = None
+) -> list[Matrix]:
+    """The best peaks of the correlation over yaw, x and y, as ``map_from_scanner``.
+
+    With ``besides`` a pose, only peaks away from it, and of those what comes near to its score.
+    """
     level = near.copy()
     level[:2, 3] = 0.0
     upright = _searchable(source.moved(level), np.zeros(2))
@@ -92,7 +149,15 @@ def _hypotheses(source: Surfels, reference: Surfels, near: Matrix, radius: float
     count = max(1, round(2 * yaw / _YAW_STEP))
     yaws = np.linspace(-yaw, yaw, count, endpoint=yaw < 3.14)
     scores = np.stack([_score(upright, volume, angle, level[2, 3], reach) for angle in yaws])
-    peaks = _peaks(scores, wrap=yaw >= 3.14)
+    least = int(_RIVAL_SCORE * scores.max())
+    if besides is not None:
+        turned = np.angle(np.exp(1j * (yaws - _turn(near, besides))))
+        k = int(np.argmin(np.abs(turned)))
+        i, j = np.rint((besides[:2, 3] - near[:2, 3]) / _CELL).astype(int) + reach
+        own = np.s_[max(0, k - 1) : k + 2, max(0, i - 1) : i + 2, max(0, j - 1) : j + 2]
+        least = int(_RIVAL_SCORE * scores[own].max(initial=0))
+        scores[own] = 0
+    peaks = _peaks(scores, max(least, 1), wrap=yaw >= 3.14)
     return [_pose(level, yaws[k], near[:2, 3] + (np.array([i, j]) - reach) * _CELL) for k, i, j in peaks]
 
 
@@ -148,14 +213,20 @@ def _correlate(
     return scores
 
 
-def _peaks(scores: NDArray[np.int32], wrap: bool) -> list[tuple[int, int, int]]:
-    """Best ``_REFINED`` maxima, no two of them within 15 degrees and 0.6 m of each other."""
+def _turn(near: Matrix, pose: Matrix) -> float:
+    """Heading of a pose from another that is tilted alike."""
+    turn = pose[:3, :3] @ near[:3, :3].T
+    return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+
+
+def _peaks(scores: NDArray[np.int32], least: int, wrap: bool) -> list[tuple[int, int, int]]:
+    """Best ``_HYPOTHESES`` maxima of at least ``least``, no two of them within 15 degrees and 0.6 m of each other."""
     scores = scores.copy()
     turn, shift = round(np.deg2rad(15.0) / _YAW_STEP), round(0.6 / _CELL)
     peaks = []
-    for _ in range(_REFINED):
+    for _ in range(_HYPOTHESES):
         k, i, j = (int(v) for v in np.unravel_index(int(np.argmax(scores)), scores.shape))
-        if scores[k, i, j] <= 0:
+        if scores[k, i, j] < least:
             break
         peaks.append((k, i, j))
         turns = np.arange(k - turn, k + turn + 1)

@@ -5,10 +5,11 @@ that the scan shows to be empty. Ranges are ``(rows, columns)`` in metres, 0 whe
 """
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from perception.grids import Label
+from perception.threads import SHARES
 from perception.transforms import Matrix
 
 _OCCLUDED = np.uint8(Label.OCCLUDED)
@@ -21,32 +22,53 @@ _BUCKET = np.deg2rad(1.0)
 Shape3 = tuple[int, ...]
 
 
+@njit(cache=True, parallel=True)
+def enter(
+    points: NDArray[np.float32],
+    beam: NDArray[np.int32],
+    map_from_scanner: Matrix,
+    origin: NDArray[np.float64],
+    size: float,
+    shape: Shape3,
+    beams: tuple[int, int],
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Points ``(N, 3)`` of the scanner frame per voxel of the space, ``(nx, ny, nz)``, and the range of each beam.
+
+    The ranges, ``beams`` being (rows, columns), are those that :meth:`perception.scan.Scan.range_image` gives; one pass
+    over a scan makes both.
+    """
+    hits = np.zeros((SHARES, shape[0], shape[1], shape[2]), np.int32)
+    ranges = np.zeros(beams[0] * beams[1], np.float32)
+    for part in prange(SHARES):
+        first, last = len(points) * part // SHARES, len(points) * (part + 1) // SHARES
+        _enter(points[first:last], beam[first:last], map_from_scanner, origin, size, hits[part], ranges)
+    for part in range(1, SHARES):
+        hits[0] += hits[part]
+    return hits[0], ranges.reshape(beams)
+
+
 @njit(cache=True)
-def count_hits(
-    points: NDArray[np.float32], map_from_scanner: Matrix, origin: NDArray[np.float64], size: float, shape: Shape3
-) -> NDArray[np.int32]:
-    """Points ``(N, 3)`` of the scanner frame per voxel of the space, ``(nx, ny, nz)``."""
-    hits = np.zeros(shape, np.int32)
+def _enter(
+    points: NDArray[np.float32],
+    beam: NDArray[np.int32],
+    map_from_scanner: Matrix,
+    origin: NDArray[np.float64],
+    size: float,
+    hits: NDArray[np.int32],
+    ranges: NDArray[np.float32],
+) -> None:
+    nx, ny, nz = hits.shape
     m = map_from_scanner / size
-    sx, sy, sz = m[0, 3] - origin[0] / size, m[1, 3] - origin[1] / size, m[2, 3] - origin[2] / size
+    # One more, so that cutting off the fraction rounds down for all that lies in the space.
+    sx, sy, sz = m[0, 3] - origin[0] / size + 1, m[1, 3] - origin[1] / size + 1, m[2, 3] - origin[2] / size + 1
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        i = int(np.floor(m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + sx))
-        j = int(np.floor(m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + sy))
-        k = int(np.floor(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + sz))
-        if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]:
+        ranges[beam[n]] = np.sqrt(x * x + y * y + z * z)
+        i = int(m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + sx) - 1
+        j = int(m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + sy) - 1
+        k = int(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + sz) - 1
+        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
             hits[i, j, k] += 1
-    return hits
-
-
-@njit(cache=True)
-def range_image(points: NDArray[np.float32], beam: NDArray[np.int32], rows: int, columns: int) -> NDArray[np.float32]:
-    """The ranges that :meth:`perception.scan.Scan.range_image` gives, in one pass over a million points."""
-    image = np.zeros((rows, columns), np.float32)
-    for n in range(len(beam)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        image[beam[n] // columns, beam[n] % columns] = np.sqrt(x * x + y * y + z * z)
-    return image
 
 
 @njit(cache=True)
@@ -90,7 +112,7 @@ def _voxel_from_scanner(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def empty_by_range(
     labels: NDArray[np.uint8],
     origin: NDArray[np.float64],
@@ -107,37 +129,47 @@ def empty_by_range(
     is not empty and still has to be scanned. A single one is noise.
     """
     _, ny, nz = labels.shape
-    rows, columns = ranges.shape
     flat = labels.ravel()
-    found = np.empty(flat.size, np.int64)
-    count = 0
-    for index in range(flat.size):
-        if flat[index] != _OCCLUDED:
+    empty = np.zeros(flat.size, np.bool_)
+    for index in prange(flat.size):
+        if flat[index] == _OCCLUDED:
+            x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, scanner_from_map)
+            empty[index] = _seen_through(x, y, z, size, ranges, elevation_min, elevation_step, azimuth_step)
+    return np.flatnonzero(empty)
+
+
+@njit(cache=True)
+def _seen_through(
+    x: float,
+    y: float,
+    z: float,
+    size: float,
+    ranges: NDArray[np.float32],
+    elevation_min: float,
+    elevation_step: float,
+    azimuth_step: float,
+) -> bool:
+    rows, columns = ranges.shape
+    across = np.sqrt(x * x + y * y)
+    distance = np.sqrt(across * across + z * z)
+    row = (np.arctan2(z, across) - elevation_min) / elevation_step
+    column = np.arctan2(y, x) / azimuth_step
+    row_spread = _SAMPLE * size / (max(distance, size) * elevation_step)
+    column_spread = _SAMPLE * size / (max(across, size) * azimuth_step)
+    # The scanner's axes need not be the voxel's: the half side is the least it takes to reach the far side.
+    far_side = distance + 0.5 * size
+    votes, ended = 0, 0
+    for u in range(-1, 2):
+        r = int(np.rint(row + u * row_spread))
+        if r < 0 or r >= rows:
             continue
-        x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, scanner_from_map)
-        across = np.sqrt(x * x + y * y)
-        distance = np.sqrt(across * across + z * z)
-        row = (np.arctan2(z, across) - elevation_min) / elevation_step
-        column = np.arctan2(y, x) / azimuth_step
-        row_spread = _SAMPLE * size / (max(distance, size) * elevation_step)
-        column_spread = _SAMPLE * size / (max(across, size) * azimuth_step)
-        # The scanner's axes need not be the voxel's: the half side is the least it takes to reach the far side.
-        far_side = distance + 0.5 * size
-        votes, ended = 0, 0
-        for u in range(-1, 2):
-            r = int(np.rint(row + u * row_spread))
-            if r < 0 or r >= rows:
-                continue
-            for v in range(-1, 2):
-                c = int(np.rint(column + v * column_spread))
-                measured = ranges[r, c + columns if c < 0 else (c - columns if c >= columns else c)]
-                if measured > 0:
-                    votes += 1 if measured > far_side else -1
-                    ended += abs(measured - distance) <= 0.5 * size
-        if votes > 0 and ended < 2:
-            found[count] = index
-            count += 1
-    return found[:count]
+        for v in range(-1, 2):
+            c = int(np.rint(column + v * column_spread))
+            measured = ranges[r, c + columns if c < 0 else (c - columns if c >= columns else c)]
+            if measured > 0:
+                votes += 1 if measured > far_side else -1
+                ended += abs(measured - distance) <= 0.5 * size
+    return votes > 0 and ended < 2
 
 
 @njit(cache=True)

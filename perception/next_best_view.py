@@ -8,19 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from perception import ray_walk
+from perception import ray_walk, visibility
 from perception.failure import FailureError
 from perception.findings import Candidate, ViewChoice
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import CandidateField
 from perception.sensor import Sensor
+from perception.visibility import Sight, View
 
 Weight = Literal["all", "surface"]
 NOT_EVALUATED = -1
 LISTED = 20
 """Views in the choice, at most."""
 REFINED = 8
-"""Leaders of the coarse count whose neighbours are counted too."""
+"""Leaders of the coarse round whose neighbours are looked at too."""
+COARSE = 1500
+"""Cells that the coarse round asks, about."""
+_LEVEL = ray_walk.SUBDIVISION // 8
 
 
 @dataclass(frozen=True)
@@ -43,32 +47,64 @@ def next_best_view(
     max_rays: int = 30_000_000,
     separation: float = 0.5,
 ) -> tuple[ViewChoice, Grid]:
+    """The choice of :func:`rank_views` for a cycle that knows of none before it."""
+    choice, gains, _ = rank_views(
+        space,
+        field,
+        sensor,
+        floor_z,
+        weight=weight,
+        avoid=avoid,
+        travel=travel,
+        max_rays=max_rays,
+        separation=separation,
+    )
+    return choice, gains
+
+
+def rank_views(
+    space: VoxelSpace,
+    field: CandidateField,
+    sensor: Sensor,
+    floor_z: float,
+    *,
+    weight: Weight = "all",
+    avoid: Sequence[tuple[float, float, float]] = (),
+    travel: Travel | None = None,
+    max_rays: int = 30_000_000,
+    separation: float = 0.5,
+    earlier: Sight | None = None,
+) -> tuple[ViewChoice, Grid, Sight | None]:
     """Rank the candidates by the occluded voxels that a scan there would show.
 
     A voxel counts when its centre is within the sensor's field of view and range of the optical centre over the
     pixel's centre, and in free sight (:mod:`perception.ray_walk`): occupied voxels and the outside of the room
-    block, occluded ones do not, for they may turn out empty.
+    block, occluded ones do not, for they may turn out empty. The optical centre is taken at the nearest eighth of a
+    voxel, so that scans of one room compare.
 
-    The count is exact. Up to ``max_rays`` pairs of candidate and voxel all candidates are counted; beyond that one in
-    each block of a coarser lattice, then the neighbours of the best, so that the best of all may be missed. Ties go
-    to the shorter path, then to the lower row and column.
+    The count is exact. Up to ``max_rays`` pairs of candidate and voxel all candidates are counted; beyond that, in a
+    hall, those that seem best by a part of the voxels, so that the best of all may be missed by some hundredths of
+    its gain. Ties go to the shorter path, then to the lower row and column.
 
     Args:
         weight: ``all`` occluded voxels count (the paper), or only those of the ``surface`` of what is unseen.
         avoid: discs (x, y, radius) whose candidates failed of late and are left out.
         travel: rank by gain per second of driving and scanning instead of by gain.
         separation: least distance between two listed views, metres.
+        earlier: what an earlier cycle of the room returned; the same result comes sooner with it.
 
     Raises:
         FailureError: ``NBV_SENSOR_OUTSIDE`` if the optical centre lies above or below the space.
 
     Returns:
-        The best views with the number of candidates, and the gain of each pixel, NOT_EVALUATED where not counted.
+        The best views with the number of candidates; the gain of each pixel, NOT_EVALUATED where not counted; and
+        what helps the next cycle, if all candidates were counted.
     """
     cells = np.argwhere(field.mask.data & ~_avoided(field.mask, avoid))
     gains = np.full(field.mask.shape, NOT_EVALUATED, np.int64)
+    sight = earlier
     if len(cells):
-        _count(cells, _Counter(space, sensor, floor_z, weight, cells), gains, max_rays)
+        sight = _count(cells, _Counter(space, sensor, floor_z, weight, cells, earlier), gains, max_rays)
     counted = np.argwhere(gains > NOT_EVALUATED)
     path = field.path_length.data[tuple(counted.T)]
     gain = gains[tuple(counted.T)]
@@ -79,7 +115,7 @@ def next_best_view(
         Candidate(float(places[n, 0]), float(places[n, 1]), int(gain[n]), float(path[n]))
         for n in _spread(places, ranked, separation)
     ]
-    return ViewChoice(tuple(best), len(cells)), field.mask.with_data(gains)
+    return ViewChoice(tuple(best), len(cells)), field.mask.with_data(gains), sight
 
 
 def surface(space: VoxelSpace) -> NDArray[np.bool_]:
@@ -103,27 +139,39 @@ class _Counter:
     """Counts, for cells (row, column), the unseen voxels that the sensor would see from above them."""
 
     def __init__(
-        self, space: VoxelSpace, sensor: Sensor, floor_z: float, weight: Weight, cells: NDArray[np.int64]
+        self,
+        space: VoxelSpace,
+        sensor: Sensor,
+        floor_z: float,
+        weight: Weight,
+        cells: NDArray[np.int64],
+        earlier: Sight | None,
     ) -> None:
-        self._level = round((floor_z + sensor.height - space.origin[2]) / space.size * ray_walk.SUBDIVISION)
-        if not 0 <= self._level < space.labels.shape[2] * ray_walk.SUBDIVISION:
+        level = _LEVEL * round((floor_z + sensor.height - space.origin[2]) / space.size * ray_walk.SUBDIVISION / _LEVEL)
+        if not 0 <= level < space.labels.shape[2] * ray_walk.SUBDIVISION:
             raise FailureError("NBV_SENSOR_OUTSIDE", "the scanner would stand above or below the room's voxels")
-        self._slopes = _slope(sensor.elevation_min), _slope(sensor.elevation_max)
         scale = ray_walk.SUBDIVISION / space.size
-        self._ranges = sensor.range_min * scale, sensor.range_max * scale
-        self._blocking = (space.labels == Label.OCCUPIED) | (space.labels == Label.OUTSIDE)
+        slopes = _slope(sensor.elevation_min), _slope(sensor.elevation_max)
+        self._view = View(level, slopes, (sensor.range_min * scale, sensor.range_max * scale))
+        self._space, self._earlier = space, earlier
         unseen = space.labels == Label.OCCLUDED if weight == "all" else surface(space)
-        self.targets = np.argwhere(unseen & self._within_reach(cells))
+        self._unseen = unseen & self._within_reach(cells)
+        self.targets = int(np.count_nonzero(self._unseen))
 
-    def __call__(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        centres = cells[:, ::-1] * ray_walk.SUBDIVISION + ray_walk.SUBDIVISION // 2
-        places = np.column_stack([centres, np.full(len(cells), self._level)])
-        return ray_walk.count_visible(self._blocking, self.targets, places, self._slopes, self._ranges)
+    def exactly(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], Sight | None]:
+        """``(K,)`` counts, and what helps the next cycle."""
+        return visibility.count(self._space, self._unseen, cells[:, ::-1], self._view, self._earlier)
+
+    def roughly(self, cells: NDArray[np.int64], rays: int) -> NDArray[np.int64]:
+        """``(K,)`` numbers that grow with the counts: those of as many columns, drawn by lot, as ``rays`` allow."""
+        share = rays / max(1, len(cells) * self.targets)
+        drawn = np.random.default_rng(0).random(self._unseen.shape[:2]) < share
+        return visibility.count(self._space, self._unseen & drawn[:, :, None], cells[:, ::-1], self._view)[0]
 
     def _within_reach(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Voxels that are not walled off from every cell; rays pass corners, so 26 neighbours connect."""
-        starts = (cells[:, 1], cells[:, 0], np.full(len(cells), self._level // ray_walk.SUBDIVISION))
-        passable = ~self._blocking
+        starts = (cells[:, 1], cells[:, 0], np.full(len(cells), self._view.level // ray_walk.SUBDIVISION))
+        passable = (self._space.labels != Label.OCCUPIED) & (self._space.labels != Label.OUTSIDE)
         passable[starts] = True
         part, count = ndimage.label(passable, np.ones((3, 3, 3), bool))
         open_parts = np.zeros(count + 1, bool)
@@ -136,17 +184,25 @@ def _slope(elevation: float) -> float:
     return float(np.tan(elevation)) if abs(elevation) < 0.5 * np.pi - 1e-9 else float(np.copysign(np.inf, elevation))
 
 
-def _count(cells: NDArray[np.int64], counter: _Counter, gains: NDArray[np.int64], max_rays: int) -> None:
-    """Fill in the gains of all cells, or where that is too much of one in each block and all around the best."""
-    stride = max(1, int(np.ceil(np.sqrt(len(cells) * len(counter.targets) / max_rays))))
+def _count(cells: NDArray[np.int64], counter: _Counter, gains: NDArray[np.int64], max_rays: int) -> Sight | None:
+    """Fill in the gains of all cells, or where that is too much of the finalists of two rounds on a lot of columns.
+
+    The first round asks one cell in each block, the second all cells around its best; each has a third of the rays.
+    """
+    if len(cells) * counter.targets <= max_rays:
+        gains[tuple(cells.T)], sight = counter.exactly(cells)
+        return sight
+    rays = max_rays // 3
+    stride = max(2, int(np.ceil(np.sqrt(len(cells) / COARSE))))
     _, first = np.unique(cells // stride, axis=0, return_index=True)
-    gains[tuple(cells[first].T)] = counter(cells[first])
-    if stride > 1:
-        coarse = gains[tuple(cells.T)]
-        leaders = cells[np.argsort(-coarse, kind="stable")[:REFINED]]
-        apart = np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1)
-        around = cells[(apart < stride) & (coarse == NOT_EVALUATED)]
-        gains[tuple(around.T)] = counter(around)
+    rough = np.zeros(len(cells), np.int64)
+    rough[first] = counter.roughly(cells[first], rays)
+    leaders = cells[np.argsort(-rough, kind="stable")[:REFINED]]
+    around = np.flatnonzero(np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1) < stride)
+    fine = counter.roughly(cells[around], rays)
+    finalists = cells[around[np.argsort(-fine, kind="stable")[: max(1, rays // counter.targets)]]]
+    gains[tuple(finalists.T)], _ = counter.exactly(finalists)
+    return None
 
 
 def _spread(places: NDArray[np.float64], ranked: NDArray[np.int64], separation: float) -> list[int]:

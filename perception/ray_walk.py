@@ -7,18 +7,21 @@ it only touches those beside it. So visibility depends neither on the direction 
 Places are given in units of 1 / SUBDIVISION of a voxel's side from the lower corner of voxel [0, 0, 0], and do not lie
 on a voxel's side face. Products of three differences must fit in 64 bits, which holds up to 2,000 voxels a side.
 
-:func:`is_clear` walks one ray. :func:`count_visible` walks all rays to a column of voxels at once, in plan: they cross
-the same columns, and where none of the heights that they span is blocked, one look settles all of them.
+:func:`is_clear` walks one ray. :func:`look` walks all rays to a column of voxels at once, in plan: they cross the same
+columns, and where none of the heights that they span is blocked, one look settles all of them. Columns are words of
+bits then, one for each layer.
 """
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
+
+import perception.threads  # noqa: F401
 
 SUBDIVISION = 64
 _HALF = SUBDIVISION // 2
 _NEVER = 2**62
-_MAX_LAYERS = 62
+MAX_LAYERS = 62
 """Layers that fit into the bits of a signed word."""
 
 
@@ -60,38 +63,89 @@ def count_visible(
     slopes: tuple[float, float],
     ranges: tuple[float, float],
 ) -> NDArray[np.int64]:
-    """``(K,)``: how many target voxels each place ``(K, 3)`` sees within field of view and range.
+    """``(K,)``: how many target voxels ``(U, 3)`` each place ``(K, 3)`` sees in field of view and range, ray by ray.
 
     Args:
-        blocking: ``(nx, ny, nz)``.
-        targets: ``(U, 3)`` voxels in lexicographic order.
+        blocking: ``(nx, ny, nz)``, any number of layers.
         slopes: tangents of the least and greatest elevation, infinite for a view without that edge.
         ranges: least and greatest range, in the units of the places.
     """
-    _, ny, nz = blocking.shape
     seen = np.zeros(len(places), np.int64)
-    if nz > _MAX_LAYERS:
-        for n in range(len(places)):
-            x, y, z = places[n]
-            for i, j, k in targets:
-                if _in_view(i, j, k, x, y, z, slopes, ranges):
-                    seen[n] += is_clear(blocking, i, j, k, x, y, z)
-        return seen
-    walls = _column_bits(blocking)
     for n in range(len(places)):
         x, y, z = places[n]
-        first = 0
-        while first < len(targets):
-            i, j = targets[first, 0], targets[first, 1]
-            wanted = 0
-            while first < len(targets) and targets[first, 0] == i and targets[first, 1] == j:
-                k = targets[first, 2]
-                if _in_view(i, j, k, x, y, z, slopes, ranges):
-                    wanted |= 1 << k
-                first += 1
-            if wanted:
-                seen[n] += _bit_count(_clear_layers(walls, ny, i, j, wanted, x, y, z))
+        for i, j, k in targets:
+            if _in_view(i, j, k, x, y, z, slopes, ranges):
+                seen[n] += is_clear(blocking, i, j, k, x, y, z)
     return seen
+
+
+@njit(cache=True, parallel=True)
+def look(
+    walls: NDArray[np.int64],
+    outside: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    sight: NDArray[np.int64],
+    places: NDArray[np.int64],
+    slopes: tuple[float, float],
+    ranges: tuple[float, float],
+) -> NDArray[np.int64]:
+    """``(K,)``: how many voxels each place ``(K, 3)`` sees within field of view and range.
+
+    Args:
+        walls, outside: ``(nx, ny)`` words of the voxels that block: what stands there, and what is not of the room.
+        columns: ``(C, 2)``.
+        sight: ``(K, C)`` words of the voxels to look for; those out of view or behind a wall are taken out, those
+            behind the outside are not counted but stay in, for a room may grow.
+        slopes, ranges: as for :func:`count_visible`.
+    """
+    ny = walls.shape[1]
+    flat_walls, flat_outside = walls.ravel(), outside.ravel()
+    none_outside = _summed(outside)
+    seen = np.zeros(len(places), np.int64)
+    for n in prange(len(places)):
+        x, y, z = places[n]
+        for c in range(len(columns)):
+            i, j = columns[c]
+            wanted = _viewed(sight[n, c], i, j, x, y, z, slopes, ranges)
+            if wanted:
+                wanted = _clear_layers(flat_walls, ny, i, j, wanted, x, y, z)
+            sight[n, c] = wanted
+            if wanted and _any_within(none_outside, i, j, x // SUBDIVISION, y // SUBDIVISION):
+                wanted = _clear_layers(flat_outside, ny, i, j, wanted, x, y, z)
+            seen[n] += _bit_count(wanted)
+    return seen
+
+
+@njit(cache=True)
+def _viewed(
+    wanted: int, i: int, j: int, x: int, y: int, z: int, slopes: tuple[float, float], ranges: tuple[float, float]
+) -> int:
+    """Those of the ``wanted`` layers of a column that are within field of view and range."""
+    viewed, rest = 0, wanted
+    k = 0
+    while rest:
+        if rest & 1 and _in_view(i, j, k, x, y, z, slopes, ranges):
+            viewed |= 1 << k
+        rest >>= 1
+        k += 1
+    return viewed
+
+
+@njit(cache=True)
+def _summed(words: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of columns that are not empty below and left of each corner, ``(nx + 1, ny + 1)``."""
+    sums = np.zeros((words.shape[0] + 1, words.shape[1] + 1), np.int64)
+    for i in range(words.shape[0]):
+        for j in range(words.shape[1]):
+            sums[i + 1, j + 1] = sums[i, j + 1] + sums[i + 1, j] - sums[i, j] + (words[i, j] != 0)
+    return sums
+
+
+@njit(cache=True)
+def _any_within(sums: NDArray[np.int64], i: int, j: int, a: int, b: int) -> bool:
+    """Whether a column in the rectangle with the corners (i, j) and (a, b) is not empty."""
+    low_i, high_i, low_j, high_j = min(i, a), max(i, a) + 1, min(j, b), max(j, b) + 1
+    return sums[high_i, high_j] - sums[low_i, high_j] - sums[high_i, low_j] + sums[low_i, low_j] > 0
 
 
 @njit(cache=True)
@@ -108,15 +162,15 @@ def _in_view(
 
 
 @njit(cache=True)
-def _column_bits(blocking: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """``(nx * ny,)``: bit k says whether layer k of the column is blocked."""
-    nx, ny, nz = blocking.shape
-    bits = np.zeros(nx * ny, np.int64)
+def words(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """``(nx, ny)``: bit k says whether layer k of the column is in the mask ``(nx, ny, nz)``."""
+    nx, ny, nz = mask.shape
+    bits = np.zeros((nx, ny), np.int64)
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
-                if blocking[i, j, k]:
-                    bits[i * ny + j] |= 1 << k
+                if mask[i, j, k]:
+                    bits[i, j] |= 1 << k
     return bits
 
 
@@ -151,22 +205,24 @@ def _clear_layers(walls: NDArray[np.int64], ny: int, i: int, j: int, wanted: int
     next_y = _HALF * ax if dy != 0 else _NEVER
     grow_x, grow_y = SUBDIVISION * ay, SUBDIVISION * ax
     start, end = i * ny + j, x // SUBDIVISION * ny + y // SUBDIVISION
-    lowest, highest = _shrunk(wanted, 0, _MAX_LAYERS)
+    lowest, highest = _shrunk(wanted, 0, MAX_LAYERS)
     here, entered = start, 0
     level, pace = z / SUBDIVISION, 1.0 / whole
+    between = _layers(min(lowest, z // SUBDIVISION), max(highest, z // SUBDIVISION))
     while True:
         left = whole if here == end else min(next_x, next_y)
-        # Heights of the lowest and highest ray over this column, in layers; a margin makes up for the rounding.
-        low, high = lowest + 0.5, highest + 0.5
-        bottom = low + (level - low) * pace * (entered if level > low else left) - 1e-6
-        top = high + (level - high) * pace * (left if level > high else entered) + 1e-6
-        if walls[here] & _layers(int(bottom), int(top)):
-            wanted = _unblocked(
-                walls[here], wanted, lowest, highest, z, entered, left, whole, here == start, here == end
-            )
-            if not wanted:
-                return 0
-            lowest, highest = _shrunk(wanted, lowest, highest)
+        if walls[here] & between:
+            # Heights of the lowest and highest ray over this column, in layers; a margin makes up for the rounding.
+            low, high = lowest + 0.5, highest + 0.5
+            bottom = low + (level - low) * pace * (entered if level > low else left) - 1e-6
+            top = high + (level - high) * pace * (left if level > high else entered) + 1e-6
+            if walls[here] & _layers(int(bottom), int(top)):
+                wanted = _unblocked(
+                    walls[here], wanted, lowest, highest, z, entered, left, whole, here == start, here == end
+                )
+                if not wanted:
+                    return 0
+                lowest, highest = _shrunk(wanted, lowest, highest)
         if here == end:
             return wanted
         entered = left

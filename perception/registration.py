@@ -1,8 +1,8 @@
 """Registration of a new scan to the cloud (paper section 5): odometry guess, then ICP, then doubt.
 
 The smallest residual is not proof of the right place: along a bare corridor every slide fits. So the result carries
-how well the pairs hold each direction and how far it moved from the odometry, and :func:`judge` refuses what is not
-certain.
+how well the pairs hold each direction and how far it moved from the odometry, and :func:`judgement.judge` refuses what
+is not certain.
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,23 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from perception import transforms
+from perception.constraint import hold
 from perception.failure import FailureError
 from perception.findings import Registration
+from perception.judgement import NEAR_ODOMETRY, RegistrationLimits, judge
 from perception.surfels import SPACING, Surface, Surfels, first_per_voxel, surface_of
 from perception.transforms import Matrix
 
-__all__ = ["Reference", "RegistrationLimits", "anchor", "judge", "reference_from", "register", "surface_of"]
+__all__ = [
+    "NEAR_ODOMETRY",
+    "Reference",
+    "RegistrationLimits",
+    "anchor",
+    "judge",
+    "reference_from",
+    "register",
+    "surface_of",
+]
 
 
 @dataclass(frozen=True)
@@ -34,34 +45,7 @@ class Level:
 LEVELS = (Level(0.5, 2000, 25), Level(0.2, 3000, 20), Level(0.08, 5000, 15), Level(0.03, 10000, 12))
 
 _OFFSET_DAMPING = 1e-3
-
-
-@dataclass(frozen=True)
-class RegistrationLimits:
-    """What :func:`judge` demands.
-
-    Args:
-        min_overlap: share of the source on known surface.
-        min_agreement: of the overlapping share, the part that fits within the last correspondence distance.
-        max_rmse: metres.
-        max_conflict: share of the comparable surface that was seen through.
-        min_eigenvalue: of the pairs' normals; below it the scan slides.
-        sigmas: how many times the expected error of the guess the correction may be.
-        slack_m, slack_rad: correction that is allowed whatever was expected.
-    """
-
-    min_overlap: float = 0.15
-    min_agreement: float = 0.70
-    max_rmse: float = 0.015
-    max_conflict: float = 0.03
-    min_eigenvalue: float = 0.02
-    sigmas: float = 3.0
-    slack_m: float = 0.10
-    slack_rad: float = float(np.deg2rad(1.5))
-
-
-NEAR_ODOMETRY = RegistrationLimits(max_conflict=0.06)
-"""Where the guess is odometry's and the correction must agree with it, a mirror's ghosts need not refuse a scan."""
+_WORTH_A_THREAD = 4000
 
 
 class Reference:
@@ -83,7 +67,8 @@ class Reference:
 
     def pairs(self, source: Surfels, distance: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Index of each paired source surfel and of its partner, about ``distance`` metres and 20 degrees apart."""
-        _, partner = self._tree.query(self._features(source), distance_upper_bound=distance + 0.1, workers=2)
+        workers = 2 if len(source) > _WORTH_A_THREAD else 1
+        _, partner = self._tree.query(self._features(source), distance_upper_bound=distance + 0.1, workers=workers)
         found = np.flatnonzero(partner < len(self.surfels))
         return found, partner[found]
 
@@ -148,15 +133,30 @@ def register(
             source=len(source.surfels),
             reference=len(reference.surfels),
         )
-    shuffled = source.surfels.pick(np.random.default_rng(0).permutation(len(source.surfels)))
+    shuffled = _shuffled(source)
     poses = [_descend(shuffled, reference, guess, LEVELS[start:]) for start in starts]
     judged = Surface(shuffled.pick(np.s_[: LEVELS[-1].samples]), source.sight)
     return max((_assess(judged, reference, guess, pose, method) for pose in poses), key=plausibility)
 
 
+def settle(source: Surface, reference: Reference, guess: Matrix) -> Registration:
+    """Where a scan comes to rest from a guess, to some centimetres and quickly: to tell one hollow from another."""
+    coarse = LEVELS[:2]
+    few = _shuffled(source).pick(np.s_[: coarse[-1].samples])
+    pose = _descend(few, reference, guess, coarse)
+    return _assess(Surface(few, source.sight), reference, guess, pose, "settled")
+
+
+def _shuffled(source: Surface) -> Surfels:
+    return source.surfels.pick(np.random.default_rng(0).permutation(len(source.surfels)))
+
+
 def plausibility(registration: Registration) -> float:
-    """Fitness, less four times the share of surface that would have been seen through: orders rival poses."""
-    return registration.fitness * max(0.0, 1.0 - 4.0 * registration.conflict)
+    """Fitness, less ten times the share of surface that would have been seen through: orders rival poses.
+
+    Fitness alone prefers the pose that overlaps most; where a scan is right it sees through nothing.
+    """
+    return registration.fitness * max(0.0, 1.0 - 10.0 * registration.conflict)
 
 
 def _descend(shuffled: Surfels, reference: Reference, guess: Matrix, levels: Sequence[Level]) -> Matrix:
@@ -222,85 +222,19 @@ def _assess(source: Surface, reference: Reference, guess: Matrix, pose: Matrix, 
     on_surface = (pairs.asides < 0.10) & (np.abs(pairs.residuals) < 0.10)
     close = on_surface & (np.abs(pairs.residuals) < LEVELS[-1].distance)
     count = int(np.count_nonzero(close))
-    held = pairs.normals[close]
-    values, axes = np.linalg.eigh(held.T @ held / max(count, 1))
+    held = hold(pairs.positions[close], pairs.normals[close])
     correction_m, correction_rad = transforms.difference(guess, pose)
     return Registration(
         map_from_scanner=pose,
         fitness=count / len(source.surfels),
         rmse=float(np.sqrt(np.mean(pairs.residuals[close] ** 2))) if count else float("inf"),
         overlap=float(np.count_nonzero(on_surface) / len(source.surfels)),
-        min_eigenvalue=float(values[0]),
-        weak_axis=(float(axes[0, 0]), float(axes[1, 0]), float(axes[2, 0])),
+        min_eigenvalue=held.shift,
+        weak_axis=held.shift_axis,
         correction_m=correction_m,
         correction_rad=correction_rad,
         method=method,
         conflict=reference.conflict(source, pose),
+        turn_hold=held.turn,
+        turn_axis=held.turn_axis,
     )
-
-
-def judge(
-    registration: Registration,
-    expected_error: tuple[float, float],
-    limits: RegistrationLimits = RegistrationLimits(),
-) -> None:
-    """Return if the registration may enter the map.
-
-    Args:
-        expected_error: standard deviation of the guess in metres and radians.
-
-    Raises:
-        FailureError: ``REG_DIVERGED``, ``REG_LOW_OVERLAP``, ``REG_DEGENERATE`` or ``REG_INCONSISTENT``.
-    """
-    evidence: dict[str, object] = {
-        "fitness": registration.fitness,
-        "rmse": registration.rmse,
-        "overlap": registration.overlap,
-        "min_eigenvalue": registration.min_eigenvalue,
-        "weak_axis": list(registration.weak_axis),
-        "correction_m": registration.correction_m,
-        "correction_rad": registration.correction_rad,
-        "conflict": registration.conflict,
-        "method": registration.method,
-    }
-
-    def refuse(code: str, message: str) -> FailureError:
-        return FailureError(code, message, **evidence)
-
-    if not np.isfinite(registration.map_from_scanner).all():
-        raise refuse("REG_DIVERGED", "the registration is not finite")
-    if registration.overlap < limits.min_overlap:
-        raise refuse(
-            "REG_LOW_OVERLAP",
-            f"only {registration.overlap:.0%} of the scan lies on known surface "
-            f"(at least {limits.min_overlap:.0%} needed)",
-        )
-    agreement = registration.fitness / registration.overlap
-    if agreement < limits.min_agreement or registration.rmse > limits.max_rmse:
-        raise refuse(
-            "REG_DIVERGED",
-            f"{agreement:.0%} of the overlap fits, to {registration.rmse * 1000:.1f} mm rms "
-            f"(needed {limits.min_agreement:.0%} within {limits.max_rmse * 1000:.0f} mm)",
-        )
-    if registration.conflict > limits.max_conflict:
-        raise refuse(
-            "REG_DIVERGED",
-            f"{registration.conflict:.0%} of the surface that could be compared would have been seen "
-            f"through (at most {limits.max_conflict:.0%})",
-        )
-    if registration.min_eigenvalue < limits.min_eigenvalue:
-        heading = np.rad2deg(np.arctan2(registration.weak_axis[1], registration.weak_axis[0]))
-        raise refuse(
-            "REG_DEGENERATE",
-            f"nothing holds the scan along {heading:.0f} degrees "
-            f"(eigenvalue {registration.min_eigenvalue:.4f}, at least {limits.min_eigenvalue:.4f} needed)",
-        )
-    allowed_m = limits.sigmas * expected_error[0] + limits.slack_m
-    allowed_rad = limits.sigmas * expected_error[1] + limits.slack_rad
-    if registration.correction_m > allowed_m or registration.correction_rad > allowed_rad:
-        raise refuse(
-            "REG_INCONSISTENT",
-            f"the scan lies {registration.correction_m:.2f} m and "
-            f"{np.rad2deg(registration.correction_rad):.1f} degrees from where odometry has it "
-            f"(at most {allowed_m:.2f} m and {np.rad2deg(allowed_rad):.1f} degrees)",
-        )

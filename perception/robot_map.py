@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from perception.flatness import Flatness, flatness_map
 from perception.grids import Cell, Grid
 from perception.polar import crossed_between
+from perception.rasters import counted, picked
+from perception.transforms import Matrix
 
 RESOLUTION = 0.05
 """Side of a cell of the robot map, metres."""
@@ -59,6 +62,26 @@ class PartialMap:
     flatness: Flatness
 
 
+@njit(cache=True)
+def below(points: NDArray[np.float32], map_from_scanner: Matrix, height: float) -> NDArray[np.float32]:
+    """Those of the points ``(N, 3)`` of the scanner frame that lie below ``height`` of the map frame, in that frame.
+
+    Half of a scan is ceiling and upper walls, which no robot map needs: one pass over a scan instead of two.
+    """
+    m = map_from_scanner.astype(np.float32)
+    kept = np.empty((len(points), 3), np.float32)
+    count = 0
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        up = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if up < height:
+            kept[count, 0] = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+            kept[count, 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+            kept[count, 2] = up
+            count += 1
+    return kept[:count]
+
+
 def partial_map(
     points: NDArray[np.floating],
     station: ArrayLike,
@@ -80,22 +103,17 @@ def partial_map(
         robot_height: of the robot with its scanner, metres.
     """
     where = np.asarray(station, float)
-    near = points[np.hypot(points[:, 0] - where[0], points[:, 1] - where[1]) < REACH]
-    frame = _frame(near, where)
-    height = near[:, 2] - floor_z
-    obstacle = _obstacles(near[(height > STEP_HEIGHT) & (height < robot_height)], frame)
-    floor = near[np.abs(height) <= STEP_HEIGHT]
-    row, column = frame.cells_of(floor).T
+    floor, upright = _layers(points, where[0], where[1], floor_z, REACH, STEP_HEIGHT, robot_height)
+    frame = _frame(floor, upright, where)
+    obstacle = _obstacles(upright, frame)
     # The foot of a wall is no bump in the floor; its cell is an obstacle already.
-    floor = floor[~obstacle[row, column]]
+    floor = floor[~picked(obstacle, floor, frame)]
     flatness = flatness_map(floor, station=tuple(where))
-    irregular, flat = (_resampled(flatness.cells, frame, state) for state in (Cell.OBSTACLE, Cell.FREE))
+    irregular, flat = (_refined(flatness.cells, frame, state) for state in (Cell.OBSTACLE, Cell.FREE))
     hits = obstacle | irregular
-    places = _all_centres(frame).reshape(-1, 2) - where[:2]
-    crossed = crossed_between(floor[:, :2] - where[:2], places, where[2] - floor_z, LOW_BEAM, azimuth_step, REACH)
-    seen = _without_pinholes(flat | crossed.reshape(frame.shape)) & ~hits
-    close = (np.hypot(places[:, 0], places[:, 1]) < CLEAR_REACH).reshape(frame.shape)
-    counts = [layer.astype(np.int16) for layer in (hits, seen, seen & close)]
+    crossed = crossed_between(floor, where, frame, where[2] - floor_z, LOW_BEAM, azimuth_step, REACH)
+    seen = _without_pinholes(flat | crossed) & ~hits
+    counts = [layer.astype(np.int16) for layer in (hits, seen, seen & _close_to(where, frame))]
     return PartialMap(MapEvidence(counts[0], counts[1], counts[2], frame.origin, frame.resolution), flatness)
 
 
@@ -130,14 +148,44 @@ def mark_free(grid: Grid, poses: ArrayLike, radius: float, over_obstacles: bool 
     return grown.with_data(np.where(freed, Cell.FREE, grown.data).astype(grid.data.dtype))
 
 
-def _frame(points: NDArray[np.floating], station: NDArray[np.floating]) -> Grid:
+@njit(cache=True)
+def _layers(
+    points: NDArray[np.floating], x: float, y: float, floor_z: float, reach: float, step: float, top: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Points within ``reach`` of (x, y): those of the floor, and those over it that stand in the robot's way."""
+    floor, upright = np.empty_like(points), np.empty_like(points)
+    floors, uprights = 0, 0
+    for n in range(len(points)):
+        height = points[n, 2] - floor_z
+        if height < -step or height >= top:
+            continue
+        if (points[n, 0] - x) ** 2 + (points[n, 1] - y) ** 2 >= reach * reach:
+            continue
+        if height <= step:
+            floor[floors] = points[n]
+            floors += 1
+        else:
+            upright[uprights] = points[n]
+            uprights += 1
+    return floor[:floors].copy(), upright[:uprights].copy()
+
+
+def _frame(floor: NDArray[np.floating], upright: NDArray[np.floating], station: NDArray[np.floating]) -> Grid:
     """A frame around points and station on whole multiples of two cells, so that frames of all scans match."""
-    xy = np.concatenate([points[:, :2], station[None, :2]])
+    corners = np.concatenate([_corners(floor), _corners(upright), station[None, :2]])
     block = 2 * RESOLUTION
-    low = np.floor(xy.min(axis=0) / block).astype(int) - 1
-    high = np.floor(xy.max(axis=0) / block).astype(int) + 2
+    low = np.floor(corners.min(axis=0) / block).astype(int) - 1
+    high = np.floor(corners.max(axis=0) / block).astype(int) + 2
     columns, rows = 2 * (high - low)
     return Grid(np.zeros((rows, columns), bool), (float(low[0] * block), float(low[1] * block)), RESOLUTION)
+
+
+def _corners(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Lowest and highest x and y, ``(2, 2)``; none for no points."""
+    if len(points) == 0:
+        return np.empty((0, 2))
+    x, y = points[:, 0], points[:, 1]
+    return np.array([[x.min(), y.min()], [x.max(), y.max()]], float)
 
 
 def _without_pinholes(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -145,25 +193,27 @@ def _without_pinholes(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
 
 
-def _all_centres(frame: Grid) -> NDArray[np.float64]:
-    return frame.centres_of(np.moveaxis(np.indices(frame.shape), 0, -1))
+def _close_to(station: NDArray[np.floating], frame: Grid) -> NDArray[np.bool_]:
+    rows, columns = (np.arange(n) for n in frame.shape)
+    x = frame.origin[0] + (columns + 0.5) * frame.resolution - station[0]
+    y = frame.origin[1] + (rows + 0.5) * frame.resolution - station[1]
+    return np.asarray(np.hypot(x[None, :], y[:, None]) < CLEAR_REACH)
 
 
 def _obstacles(points: NDArray[np.floating], frame: Grid) -> NDArray[np.bool_]:
     """Cells with two points, or with one that has two more beside it: a ghost is single, a thin leg is not."""
-    row, column = frame.cells_of(points).T
-    counts = np.bincount(row * frame.shape[1] + column, minlength=frame.data.size).reshape(frame.shape)
-    around = cv2.boxFilter(counts.astype(np.float32), -1, (3, 3), normalize=False)
-    return (counts >= 2) | ((counts == 1) & (around >= 2.5))
+    counts = counted(points, frame)
+    around = cv2.boxFilter(counts, -1, (3, 3), normalize=False)
+    return np.asarray((counts >= 2) | ((counts == 1) & (around >= 2.5)))
 
 
-def _resampled(coarse: Grid, frame: Grid, state: Cell) -> NDArray[np.bool_]:
-    """Cells of ``frame`` that lie in cells of ``coarse`` with the given state."""
-    centres = _all_centres(frame)
-    cells = coarse.cells_of(centres)
-    inside = coarse.contains(cells)
+def _refined(coarse: Grid, frame: Grid, state: Cell) -> NDArray[np.bool_]:
+    """Cells of ``frame`` that lie in cells of ``coarse``, twice as large and on the same lattice, with a state."""
+    fine = np.repeat(np.repeat(coarse.data == state, 2, axis=0), 2, axis=1)
+    row, column = np.rint((np.asarray(coarse.origin) - frame.origin) / frame.resolution).astype(int)[::-1]
     result = np.zeros(frame.shape, bool)
-    result[inside] = coarse.data[cells[inside][:, 0], cells[inside][:, 1]] == state
+    if fine.any():
+        result[row : row + fine.shape[0], column : column + fine.shape[1]] = fine
     return result
 
 

@@ -1,6 +1,6 @@
 """One scan as the scanner took it: points, and which beam gave each, so that a missing return is known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,18 @@ class BeamPattern:
     def azimuth_step(self) -> float:
         return 2 * np.pi / self.columns
 
+    def strides(self, step: int) -> tuple[int, int]:
+        """Rows and columns from one to the next when about every ``step``-th is taken; columns go evenly round."""
+        across = next((n for n in range(step, self.columns // 4 + 1) if self.columns % n == 0), 1)
+        return min(step, self.rows - 1), across
+
+    def every(self, step: int) -> "BeamPattern":
+        """The pattern of the beams that :meth:`strides` picks, from the first on."""
+        up, across = self.strides(step)
+        rows = (self.rows - 1) // up + 1
+        top = self.elevation_min + (rows - 1) * up * self.elevation_step
+        return replace(self, columns=self.columns // across, rows=rows, elevation_max=top)
+
     def directions(self, beams: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
         """Unit vectors ``(N, 3)`` of the given beams (all of them by default)."""
         index = np.arange(self.size) if beams is None else beams
@@ -80,6 +92,22 @@ class Scan:
     pattern: BeamPattern
     odom_from_base: Matrix
     base_from_scanner: Matrix
+
+    def without(self, places: NDArray[np.integer]) -> "Scan":
+        """The scan less the points at these places; itself, not a copy, if there are none."""
+        if len(places) == 0:
+            return self
+        kept = np.ones(len(self.points), np.bool_)
+        kept[places] = False
+        return replace(self, points=self.points[kept], intensity=self.intensity[kept], beam=self.beam[kept])
+
+    def every(self, step: int) -> "Scan":
+        """The scan as :meth:`BeamPattern.every` would have taken it."""
+        pattern, (up, across) = self.pattern.every(step), self.pattern.strides(step)
+        row, column = np.divmod(self.beam, np.int32(self.pattern.columns))
+        kept = np.flatnonzero((row % up == 0) & (column % across == 0))
+        beam = (row[kept] // up * pattern.columns + column[kept] // across).astype(np.int32)
+        return replace(self, points=self.points[kept], intensity=self.intensity[kept], beam=beam, pattern=pattern)
 
     def range_image(self) -> NDArray[np.float32]:
         """``(rows, columns)`` measured range of each beam in metres; 0 where nothing returned."""

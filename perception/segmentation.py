@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from perception.failure import FailureError
@@ -60,27 +61,59 @@ class Levels:
 
 
 def one_per_voxel(points: NDArray[np.floating], size: float, limit: int = 400_000) -> NDArray[np.intp]:
-    """Indices of at most one point per cube of ``size`` metres, out of a seeded sample of ``limit`` points.
+    """Indices, ascending, of at most one point per cube of ``size`` metres, out of a seeded sample of ``limit`` points.
 
     A scanner's points crowd around it; after this their number goes with area, so a peak's height is a surface.
     """
-    chosen = np.arange(len(points))
     if len(points) > limit:
-        chosen = np.sort(np.random.default_rng(0).integers(0, len(points), limit))
-    cells = np.floor(points[chosen] / size).astype(np.int64)
-    cells -= cells.min(axis=0, initial=0)
-    extent = cells.max(axis=0, initial=0) + 1
-    key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
-    return chosen[np.unique(key, return_index=True)[1]]
+        # One from each of equal runs of the scan, at a random place: evenly spread, and in order without sorting.
+        place = np.arange(limit) + np.random.default_rng(0).random(limit)
+        chosen = (place * (len(points) / limit)).astype(np.int64)
+    else:
+        chosen = np.arange(len(points))
+    return chosen[_first_in_cube(points, chosen, size)]
+
+
+@njit(cache=True)
+def _first_in_cube(points: NDArray[np.floating], chosen: NDArray[np.int64], size: float) -> NDArray[np.bool_]:
+    """Whether each chosen point is the first in its cube: a table of cubes by hash, probed in line."""
+    slots = 16
+    while slots < 2 * len(chosen):
+        slots *= 2
+    taken = np.full(slots, -1, np.int64)
+    first = np.zeros(len(chosen), np.bool_)
+    for n in range(len(chosen)):
+        p = points[chosen[n]]
+        key = np.int64(0)
+        for axis in range(3):
+            key = (key << 21) | (np.int64(np.floor(p[axis] / size)) & 0x1FFFFF)
+        slot = (key ^ (key >> 21) * 73856093 ^ (key >> 42) * 19349663) & (slots - 1)
+        while taken[slot] != -1 and taken[slot] != key:
+            slot = (slot + 1) & (slots - 1)
+        first[n] = taken[slot] == -1
+        taken[slot] = key
+    return first
 
 
 def histogram(values: NDArray[np.floating], width: float = BIN) -> Histogram:
     """Histogram of ``(N,)`` values; an empty bin is kept on either side so that every peak has two flanks."""
     if len(values) == 0:
         return Histogram(np.zeros(3), 0.0, width)
-    first = np.floor(values.min() / width) - 1
-    index = (np.floor(values / width) - first).astype(np.int64)
-    return Histogram(np.bincount(index, minlength=int(index.max()) + 2).astype(float), float(first * width), width)
+    counts, first = _binned(np.ascontiguousarray(values, np.float64), width)
+    return Histogram(counts, first * width, width)
+
+
+@njit(cache=True)
+def _binned(values: NDArray[np.float64], width: float) -> tuple[NDArray[np.float64], float]:
+    """Counts, and the number of the first bin: alignment asks for a thousand histograms a scan."""
+    low, high = values[0], values[0]
+    for value in values:
+        low, high = min(low, value), max(high, value)
+    first = np.floor(low / width) - 1
+    counts = np.zeros(int(np.floor(high / width) - first) + 2)
+    for value in values:
+        counts[int(np.floor(value / width) - first)] += 1
+    return counts, first
 
 
 def local_maxima(counts: NDArray[np.floating], reach: int = 3) -> NDArray[np.intp]:

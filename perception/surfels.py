@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
-from perception import transforms
+from perception import thinning, transforms
+from perception.planes import fit_planes
 from perception.transforms import Matrix
 
 SPACING = 0.08
@@ -18,8 +19,8 @@ _GRAIN = 0.03
 _NEIGHBOURS = 14
 _MAX_ROUGHNESS = 0.008
 _MIN_WIDTH_RATIO = 0.12
-_VIEW_COLUMNS, _VIEW_ROWS = 360, 180
 _SEEN_THROUGH = 0.4
+_VIEW_POINTS = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,7 @@ class Surface:
         """
         distance = np.linalg.norm(surfels.points, axis=1)
         facing = np.einsum("ij,ij->i", surfels.points, surfels.normals) < -0.2 * distance
-        cells = _view_cells(surfels.points, distance)
-        free = self.sight[cells]
+        free = self.sight.ravel()[thinning.view_cells(surfels.points)[0]]
         known = facing & (free > 0)
         through = known & (free > 1.02 * distance + 0.10)
         confirmed = known & (np.abs(free - distance) <= 0.02 * distance + 0.10)
@@ -96,58 +96,39 @@ def surface_of(points: NDArray[np.floating], spacing: float = SPACING) -> Surfac
         points: ``(N, 3)`` in the scanner's frame (the scanner at the origin), metres; non-finite rows are ignored.
         spacing: side of the voxels that keep one surfel each, metres.
     """
-    finite = points[np.isfinite(points).all(axis=1)].astype(np.float32, copy=False)
-    surfels = _surfels(finite, spacing)
-    return Surface(surfels.pick(~_transparent(surfels, finite)), _sight(finite))
+    points = np.ascontiguousarray(points, np.float32)
+    surfels = _surfels(thinning.voxel_means(points, _GRAIN), spacing)
+    # A degree of the view holds a hundred beams of a fine scan; a third of them says as much.
+    cells, ranges = thinning.view_cells(points[:: len(points) // _VIEW_POINTS + 1])
+    return Surface(surfels.pick(~_transparent(surfels, cells, ranges)), _sight(cells, ranges))
 
 
-def _surfels(points: NDArray[np.float32], spacing: float) -> Surfels:
-    grains = _voxel_means(points, _GRAIN)
+def _surfels(grains: NDArray[np.float32], spacing: float) -> Surfels:
     if len(grains) < _NEIGHBOURS:
         return Surfels(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32))
     centres = grains[first_per_voxel(grains, spacing)]
     _, index = cKDTree(grains, balanced_tree=False, compact_nodes=False).query(centres, _NEIGHBOURS, workers=2)
-    neighbours = grains[index]
-    middle = neighbours.mean(axis=1)
-    offsets = neighbours - middle[:, None]
-    variance, axes = np.linalg.eigh(np.matmul(offsets.transpose(0, 2, 1), offsets).astype(np.float64) / _NEIGHBOURS)
+    middle, normals, variance = fit_planes(grains, index)
     flat = (variance[:, 0] < _MAX_ROUGHNESS**2) & (variance[:, 0] < 0.05 * variance[:, 1])
     flat &= variance[:, 1] > _MIN_WIDTH_RATIO**2 * variance[:, 2]
-    normals = axes[:, :, 0].astype(np.float32)
     on_plane = centres - np.einsum("ij,ij->i", centres - middle, normals)[:, None] * normals
     normals[np.einsum("ij,ij->i", on_plane, normals) > 0] *= -1
     slants = np.einsum("ij,ij->i", on_plane, normals) / np.maximum(np.linalg.norm(on_plane, axis=1), 1e-6)
     return Surfels(on_plane[flat], normals[flat], slants[flat])
 
 
-def _transparent(surfels: Surfels, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _transparent(surfels: Surfels, cells: NDArray[np.int32], ranges: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Surfels in whose direction a good part of the beams went on, well behind them: a pane, or an edge."""
-    distance = np.linalg.norm(points, axis=1)
-    cell = np.ravel_multi_index(_view_cells(points, distance), (_VIEW_ROWS, _VIEW_COLUMNS))
-    order = np.lexsort((distance, cell))
-    bounds = np.searchsorted(cell[order], np.arange(_VIEW_ROWS * _VIEW_COLUMNS + 1))
-    own = np.linalg.norm(surfels.points, axis=1)
-    at = np.ravel_multi_index(_view_cells(surfels.points, own), (_VIEW_ROWS, _VIEW_COLUMNS))
-    first, last = bounds[at], bounds[at + 1]
-    # In a cell ranges are sorted, so the quantile beyond which "a good part" begins is a look-up.
-    index = np.clip(last - 1 - (_SEEN_THROUGH * (last - first)).astype(int), 0, len(points) - 1)
-    return (last > first) & (distance[order][index] > 1.02 * own + 0.10)
+    at, own = thinning.view_cells(surfels.points)
+    grouped, bounds = thinning.ranges_by_cell(cells, ranges)
+    return thinning.share_beyond(grouped, bounds, at, 1.02 * own + 0.10) > _SEEN_THROUGH
 
 
-def _sight(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    distance = np.linalg.norm(points, axis=1)
-    nearest = np.full((_VIEW_ROWS, _VIEW_COLUMNS), np.inf, np.float32)
-    np.minimum.at(nearest, _view_cells(points, distance), distance)
+def _sight(cells: NDArray[np.int32], ranges: NDArray[np.float32]) -> NDArray[np.float32]:
+    nearest = thinning.least_by_cell(cells, ranges).reshape(thinning.VIEW_ROWS, thinning.VIEW_COLUMNS)
     # The neighbours' minimum: an edge or a slanting surface within the cell must not look transparent.
     eroded = minimum_filter(nearest, size=3, mode=("nearest", "wrap"))
     return np.where(np.isfinite(nearest), eroded, 0.0).astype(np.float32)
-
-
-def _view_cells(points: NDArray[np.float32], distance: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    elevation = np.arcsin(np.clip(points[:, 2] / np.maximum(distance, 1e-6), -1.0, 1.0))
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
-    row = np.clip((np.rad2deg(elevation) + 90.0).astype(np.int64), 0, _VIEW_ROWS - 1)
-    return row, np.floor(np.rad2deg(azimuth)).astype(np.int64) % _VIEW_COLUMNS
 
 
 def _voxel_keys(points: NDArray[np.float32], size: float, kind: NDArray | int) -> NDArray[np.int64]:
@@ -155,19 +136,8 @@ def _voxel_keys(points: NDArray[np.float32], size: float, kind: NDArray | int) -
     return ((cells[:, 0] << 42) | (cells[:, 1] << 23) | (cells[:, 2] << 4)) + kind
 
 
-def _voxel_means(points: NDArray[np.float32], size: float) -> NDArray[np.float32]:
-    if len(points) == 0:
-        return points
-    keys = _voxel_keys(points, size, 0)
-    order = np.argsort(keys)
-    keys = keys[order]
-    starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    sums = np.add.reduceat(points[order].astype(np.float64), starts, axis=0)
-    return (sums / np.diff(np.r_[starts, len(keys)])[:, None]).astype(np.float32)
-
-
 def first_per_voxel(points: NDArray[np.float32], size: float, kind: NDArray | int = 0) -> NDArray[np.int64]:
     """Index of the first point of every voxel (and of every ``kind`` in 0..15 within it), ascending."""
     if len(points) == 0:
         return np.empty(0, np.int64)
-    return np.sort(np.unique(_voxel_keys(points, size, kind), return_index=True)[1])
+    return thinning.first_of_keys(_voxel_keys(points, size, kind))

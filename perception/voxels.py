@@ -52,8 +52,22 @@ def room_space(
     return _space(labels, low, size) if previous is None else _union(_space(labels, low, size), previous)
 
 
+def added(space: VoxelSpace, previous: VoxelSpace) -> NDArray[np.bool_]:
+    """The voxels ``(nx, ny, nz)`` that :func:`room_space` added to ``previous``."""
+    known = np.zeros(space.labels.shape, bool)
+    low, low_before = _low(space), _low(previous)
+    part = tuple(slice(a, a + n) for a, n in zip(low_before - low, previous.labels.shape, strict=True))
+    known[part] = previous.labels != Label.OUTSIDE
+    return (space.labels != Label.OUTSIDE) & ~known
+
+
 def label(
-    space: VoxelSpace, scan: Scan, map_from_scanner: Matrix, labeller: Labeller = "range", min_points: int = 3
+    space: VoxelSpace,
+    scan: Scan,
+    map_from_scanner: Matrix,
+    labeller: Labeller = "range",
+    min_points: int = 3,
+    within: NDArray[np.bool_] | None = None,
 ) -> VoxelSpace:
     """The space with what one more scan shows: occupied outranks empty, empty outranks occluded.
 
@@ -65,17 +79,30 @@ def label(
       (spheres of radius ``l / sqrt 2``, occluded iff alpha > beta, Figure 4).
 
     Under either rule a voxel outside the field of view, or towards which no beam returned, is not empty.
-    Labelling again with the same scan changes nothing, except by ``paper`` where other scans added obstacles since.
+    Labelling again with the same scan changes nothing.
+
+    Args:
+        within: the voxels that may change, all by default: those that are new to a space that knows the scan.
     """
     scanner_from_map = inverse(map_from_scanner)
-    hits = labelling.count_hits(scan.points, map_from_scanner, np.asarray(space.origin), space.size, space.labels.shape)
+    pattern, origin = scan.pattern, np.asarray(space.origin)
+    hits, ranges = labelling.enter(
+        scan.points,
+        scan.beam,
+        map_from_scanner,
+        origin,
+        space.size,
+        space.labels.shape,
+        (pattern.rows, pattern.columns),
+    )
     labels = space.labels.copy()
-    labels[labelling.solid(hits, min_points) & (labels != Label.OUTSIDE)] = Label.OCCUPIED
-    pattern = scan.pattern
+    changing = labels != Label.OUTSIDE if within is None else within
+    labels[labelling.solid(hits, min_points) & changing] = Label.OCCUPIED
     beams = (pattern.elevation_min, pattern.elevation_step, pattern.azimuth_step)
     rule = labelling.empty_by_range if labeller == "range" else labelling.empty_by_spheres
-    ranges = labelling.range_image(scan.points, scan.beam, pattern.rows, pattern.columns)
-    empty = rule(labels, np.asarray(space.origin), space.size, scanner_from_map, ranges, *beams)
+    # The rules look at occluded voxels only.
+    asked = labels if within is None else np.where(within | (labels != Label.OCCLUDED), labels, np.uint8(Label.EMPTY))
+    empty = rule(asked, origin, space.size, scanner_from_map, ranges, *beams)
     labels.reshape(-1)[empty] = Label.EMPTY
     return VoxelSpace(labels, space.origin, space.size)
 
@@ -95,6 +122,11 @@ def _space(labels: NDArray[np.uint8], low: NDArray[np.int64], size: float) -> Vo
     return VoxelSpace(labels, (float(x), float(y), float(z)), size)
 
 
+def _low(space: VoxelSpace) -> NDArray[np.int64]:
+    """Place of voxel [0, 0, 0] on the lattice."""
+    return np.rint(np.asarray(space.origin) / space.size + LATTICE_SHIFT).astype(np.int64)
+
+
 def _touched(
     polygon: shapely.Geometry, low: NDArray[np.int64], high: NDArray[np.int64], size: float
 ) -> NDArray[np.bool_]:
@@ -107,7 +139,7 @@ def _touched(
 
 def _union(new: VoxelSpace, previous: VoxelSpace) -> VoxelSpace:
     """Both spaces on one array; the labels of ``previous`` win where it has any."""
-    lows = [np.rint(np.asarray(s.origin) / s.size + LATTICE_SHIFT).astype(np.int64) for s in (new, previous)]
+    lows = [_low(space) for space in (new, previous)]
     low = np.minimum(*lows)
     high = np.maximum(lows[0] + new.labels.shape, lows[1] + previous.labels.shape)
     labels = np.zeros(high - low, np.uint8)

@@ -5,9 +5,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import shapely
+from numba import njit
 from numpy.typing import NDArray
 
 from perception.findings import Polygon
+from perception.grids import Grid
+from perception.rasters import picked
 from perception.segmentation import Histogram, Interval, local_maxima, peak_interval
 
 Vector = NDArray[np.float64]
@@ -33,11 +36,28 @@ _PATCH = 0.10
 
 @dataclass(frozen=True)
 class Views:
-    """Points ``(N, 3)`` of the map frame, and where they were seen from, if known: rows of ``stations`` ``(S, 3)``."""
+    """Points ``(N, 3)`` of the map frame, and where they were seen from, if known.
+
+    Args:
+        points: in the order of their stations.
+        stations: ``(S, 3)``.
+        station_of: ``(N,)`` row of ``stations``, ascending.
+    """
 
     points: NDArray[np.float64]
     stations: NDArray[np.floating] | None = None
     station_of: NDArray[np.integer] | None = None
+
+    def of(self, station: int) -> NDArray[np.float64]:
+        """The points seen from one station; all of them if that is not known."""
+        if self.station_of is None:
+            return self.points
+        first, last = np.searchsorted(self.station_of, [station, station + 1])
+        return self.points[first:last]
+
+    def subset(self, mask: NDArray[np.bool_]) -> "Views":
+        rows = None if self.station_of is None else self.station_of[mask]
+        return Views(self.points[mask], self.stations, rows)
 
 
 @dataclass(frozen=True)
@@ -96,9 +116,7 @@ def fit_walls(outline: Polygon, views: Views, floor_z: float, ceiling_z: float) 
     sides = [Line(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     height = views.points[:, 2]
     upright = (height > floor_z + 0.15) & (height < ceiling_z - 0.08)
-    near = _near_outline(views.points[:, :2], corners)
-    points = np.flatnonzero(upright & near)
-    near_views = _subset(views, points)
+    near_views = views.subset(upright & _near_outline(views.points, corners))
     squared = _squared([_moved_to_wall(side, near_views, ceiling_z) for side in sides], sides)
     sides = [_moved_to_wall(side, near_views, ceiling_z) for side in squared]
     return _assemble(_simplified(sides), corners)
@@ -125,7 +143,7 @@ def _turned(side: Line, ruler: Line) -> Line:
     return Line(middle - half, middle + half)
 
 
-def _near_outline(xy: NDArray[np.floating], corners: Vector) -> NDArray[np.bool_]:
+def _near_outline(points: NDArray[np.floating], corners: Vector) -> NDArray[np.bool_]:
     """Positions in a band around the outline, by a coarse image: a room is full of points far from its walls."""
     reach = INNER + OUTER
     low = corners.min(axis=0) - reach
@@ -133,18 +151,7 @@ def _near_outline(xy: NDArray[np.floating], corners: Vector) -> NDArray[np.bool_
     band = np.zeros((rows, columns), np.uint8)
     outline = ((corners - low) / _PATCH).astype(np.int32)
     cv2.polylines(band, [outline], True, 1, thickness=2 * round(reach / _PATCH) + 1)
-    column, row = np.floor((xy - low) / _PATCH).astype(int).T
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    inside[inside] = band[row[inside], column[inside]] > 0
-    return inside
-
-
-def _subset(views: Views, index: NDArray[np.intp]) -> Views:
-    return replace(
-        views,
-        points=views.points[index],
-        station_of=None if views.station_of is None else views.station_of[index],
-    )
+    return picked(band > 0, points, Grid(band, (float(low[0]), float(low[1])), _PATCH))
 
 
 def _moved_to_wall(side: Line, views: Views, ceiling_z: float) -> Line:
@@ -152,25 +159,44 @@ def _moved_to_wall(side: Line, views: Views, ceiling_z: float) -> Line:
         return side
     trim = min(0.1, side.length / 4)
     for _ in range(2):
-        points = _facing_points(side, views, trim)
-        below = ceiling_z - points[:, 2]
-        wall = wall_peak(side.along(points[:, :2]), side.distance(points[:, :2]), below, side.length)
+        along, distance, height = _facing(side, views, trim)
+        wall = wall_peak(along, distance, ceiling_z - height, side.length)
         if wall is None:
             return replace(side, wall=False)
-        side = _fitted(side, points[wall.contains(side.distance(points[:, :2])), :2])
+        chosen = wall.contains(distance)
+        side = _fitted(side, along[chosen], distance[chosen])
     return side
 
 
-def _facing_points(side: Line, views: Views, trim: float) -> NDArray[np.float64]:
-    """Points around a side that were seen from within: the other face of the wall was not."""
-    xy = views.points[:, :2]
-    along, distance = side.along(xy), side.distance(xy)
-    chosen = (along > trim) & (along < side.length - trim) & (distance > -INNER) & (distance < OUTER)
+def _facing(side: Line, views: Views, trim: float) -> tuple[Vector, Vector, Vector]:
+    """Place along, distance outwards and height of the points around a side that were seen from within.
+
+    The other face of the wall was not.
+    """
+    limits = (trim, side.length - trim, -INNER, 0.15 if views.stations is None else OUTER)
+    index, along, distance = _strip(views.points, side.start, side.direction, limits)
     if views.stations is not None and views.station_of is not None:
-        chosen &= side.distance(views.stations[:, :2])[views.station_of] < distance - 0.02
-    else:
-        chosen &= distance < 0.15
-    return views.points[chosen]
+        seen = side.distance(views.stations[:, :2])[views.station_of[index]] < distance - 0.02
+        index, along, distance = index[seen], along[seen], distance[seen]
+    return along, distance, views.points[index, 2]
+
+
+@njit(cache=True)
+def _strip(
+    points: NDArray[np.float64], start: Vector, direction: Vector, limits: tuple[float, float, float, float]
+) -> tuple[NDArray[np.intp], Vector, Vector]:
+    """Points within (low, high) along a line and (low, high) to its right: indices, and the places both ways."""
+    chosen = np.empty(len(points), np.intp)
+    alongs, rights = np.empty(len(points)), np.empty(len(points))
+    count = 0
+    for n in range(len(points)):
+        x, y = points[n, 0] - start[0], points[n, 1] - start[1]
+        right = x * direction[1] - y * direction[0]
+        along = x * direction[0] + y * direction[1]
+        if limits[2] < right < limits[3] and limits[0] < along < limits[1]:
+            chosen[count], alongs[count], rights[count] = n, along, right
+            count += 1
+    return chosen[:count], alongs[:count], rights[:count]
 
 
 def wall_peak(
@@ -224,15 +250,17 @@ def _with_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.convolve(values, np.ones(3), "same")
 
 
-def _fitted(side: Line, xy: NDArray[np.floating]) -> Line:
-    """The side on the line through wall points, by least squares with a shrinking tolerance."""
-    u, d = side.along(xy), side.distance(xy)
+def _fitted(side: Line, u: Vector, d: Vector) -> Line:
+    """The side on the line through wall points along (u) and outwards (d), by least squares as tolerance shrinks."""
     slope, offset = 0.0, float(np.median(d))
     for tolerance in (0.03, 0.015, 0.01):
         near = np.abs(d - offset - slope * u) < tolerance
         if near.sum() < 10 or np.ptp(u[near]) < 0.3 * side.length:
             break
-        slope, offset = (float(value) for value in np.polyfit(u[near], d[near], 1))
+        centre, middle = float(u[near].mean()), float(d[near].mean())
+        off_centre = u[near] - centre
+        slope = float(off_centre @ (d[near] - middle) / (off_centre @ off_centre))
+        offset = middle - slope * centre
     if abs(slope) * side.length > INNER + OUTER:
         slope, offset = 0.0, float(np.median(d))
     ends = (side.start + side.outward * offset, side.end + side.outward * (offset + slope * side.length))

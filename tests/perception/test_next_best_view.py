@@ -10,7 +10,7 @@ from perception import ray_walk
 from perception.failure import FailureError
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import CandidateField
-from perception.next_best_view import NOT_EVALUATED, Travel, next_best_view, surface
+from perception.next_best_view import NOT_EVALUATED, Travel, next_best_view, rank_views, surface
 from perception.sensor import Sensor
 
 SENSOR = Sensor(0.55, np.deg2rad(-40), np.deg2rad(60), 0.2, 120.0)
@@ -56,7 +56,7 @@ def clear_by_slabs(blocking, voxel, place):
 def oracle_gains(space, field, sensor, floor_z, wanted):
     """Every candidate against every voxel in rational geometry."""
     blocking = (space.labels == Label.OCCUPIED) | (space.labels == Label.OUTSIDE)
-    level = round((floor_z + sensor.height - space.origin[2]) / space.size * SUB)
+    level = round((floor_z + sensor.height - space.origin[2]) / space.size * 8) * (SUB // 8)
     gains = np.full(field.mask.shape, NOT_EVALUATED)
     for row, column in np.argwhere(field.mask.data):
         place = (int(column) * SUB + SUB // 2, int(row) * SUB + SUB // 2, level)
@@ -87,12 +87,53 @@ def test_gains_are_those_of_the_exhaustive_oracle(seed, height):
 @given(st.integers(0, 10_000), st.floats(0.02, 0.5))
 def test_rays_walked_together_agree_with_rays_walked_alone(seed, density):
     rng = np.random.default_rng(seed)
-    blocking = rng.random((14, 12, 11)) < density
-    targets = np.argwhere(rng.random(blocking.shape) < 0.3)
+    walls, outside = rng.random((2, 14, 12, 11)) < [[[[density]]], [[[0.05]]]]
+    wanted = rng.random(walls.shape) < 0.3
     places = np.column_stack([rng.integers(0, (14, 12), (4, 2)) * SUB + SUB // 2, rng.integers(0, 11 * SUB, 4)])
-    together = ray_walk.count_visible(blocking, targets, places, (-np.inf, np.inf), (0.0, 1e9))
-    alone = [sum(ray_walk.is_clear(blocking, *target, *place) for target in targets) for place in places]
-    assert together.tolist() == alone
+    view = (-0.8, 1.7), (2.0 * SUB, 11.0 * SUB)
+    words = ray_walk.words(wanted)
+    columns = np.argwhere(words)
+    sight = np.repeat(words[tuple(columns.T)][None], len(places), axis=0)
+    together = ray_walk.look(ray_walk.words(walls), ray_walk.words(outside), columns, sight, places, *view)
+    alone = ray_walk.count_visible(walls | outside, np.argwhere(wanted), places, *view)
+    assert together.tolist() == alone.tolist()
+
+
+def next_cycle(space, rng, grow):
+    """What a scan does: some occluded voxels become empty or occupied; the room may grow, its array as well."""
+    labels = space.labels.copy()
+    shown = (labels == Label.OCCLUDED) & (rng.random(labels.shape) < 0.4)
+    labels[shown] = rng.choice([Label.EMPTY, Label.OCCUPIED], np.count_nonzero(shown), p=(0.8, 0.2))
+    if grow:
+        labels[(labels == Label.OUTSIDE) & (rng.random(labels.shape) < 0.5)] = Label.OCCLUDED
+        labels = np.pad(labels, ((1, 1), (0, 2), (0, 0)), constant_values=Label.OCCLUDED)
+    origin = np.asarray(space.origin) - (np.array([1, 0, 0]) * space.size if grow else 0.0)
+    return VoxelSpace(labels, tuple(origin), space.size)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["all", "surface"]), st.lists(st.booleans(), min_size=2, max_size=4))
+def test_what_was_hidden_before_need_not_be_looked_at_again(seed, weight, growing):
+    rng = np.random.default_rng(seed)
+    space, sight = random_space(seed, (12, 10, 9), occupied=0.08, occluded=0.5), None
+    for grow in growing:
+        space = next_cycle(space, rng, grow)
+        rows, columns = space.labels.shape[1::-1]
+        field = field_of(space, rng.integers(0, (rows, columns), (25, 2)))
+        view, gains, sight = rank_views(space, field, SENSOR, 0.0, weight=weight, earlier=sight)
+        fresh, all_gains = next_best_view(space, field, SENSOR, 0.0, weight=weight)
+        assert np.array_equal(gains.data, all_gains.data)
+        assert view == fresh
+
+
+def test_what_is_no_longer_occupied_hides_nothing():
+    space = empty_room()
+    space.labels[20, :, :] = Label.OCCUPIED
+    space.labels[30, 15, 5] = Label.OCCLUDED
+    _, _, sight = rank_views(space, field_of(space), SENSOR, 0.0)
+    cleared = VoxelSpace(np.where(space.labels == Label.OCCUPIED, Label.EMPTY, space.labels), space.origin, space.size)
+    _, gains, _ = rank_views(cleared, field_of(space), SENSOR, 0.0, earlier=sight)
+    assert gains.data[10, 5] == 1
 
 
 @settings(max_examples=40, deadline=None)

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from perception import transforms
 from perception.grids import Cell, Grid
-from perception.robot_map import MapEvidence, couple, mark_free, partial_map
+from perception.robot_map import MapEvidence, below, couple, mark_free, partial_map
 from tests.perception.rooms import DOOR, TABLE, survey, two_rooms
 from tests.synthetic import box
 
@@ -131,3 +132,13 @@ def test_only_the_robots_own_place_is_freed_of_obstacles():
     grid = Grid(np.full((20, 20), Cell.OBSTACLE, np.uint8), (0.0, 0.0), 0.05)
     assert _state(mark_free(grid, [(0.5, 0.5)], 0.2), 0.5, 0.5) == Cell.OBSTACLE
     assert _state(mark_free(grid, [(0.5, 0.5)], 0.2, over_obstacles=True), 0.5, 0.5) == Cell.FREE
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_below_is_what_a_transform_and_a_comparison_give(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(0, 3, (5000, 3)).astype(np.float32)
+    pose = transforms.from_euler(0.01, -0.02, rng.uniform(-3, 3), (1.0, -2.0, 1.3))
+    moved = transforms.apply(pose, points)
+    low = below(points, pose, 1.4)
+    assert np.allclose(low, moved[moved[:, 2] < 1.4], atol=1e-5)

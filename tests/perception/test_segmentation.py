@@ -79,3 +79,18 @@ def test_walls_alone_are_no_ceiling():
 def test_a_cloud_without_a_floor_is_refused():
     with pytest.raises(FailureError, match="SEGMENT_NO_FLOOR"):
         floor_and_ceiling(_plane(np.random.default_rng(0), 2.0, 10))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 9999), st.sampled_from([0.02, 0.05, 1.0]))
+def test_one_point_is_left_of_each_cube_the_first(seed, size):
+    points = np.random.default_rng(seed).normal(0, 1.5, (2000, 3)).astype(np.float32)
+    chosen = one_per_voxel(points, size)
+    cubes = np.floor(points.astype(float) / size)
+    assert np.array_equal(chosen, np.sort(np.unique(cubes, axis=0, return_index=True)[1]))
+
+
+def test_a_sample_is_drawn_evenly_from_the_whole_scan():
+    points = np.column_stack([np.arange(10_000), np.zeros((10_000, 2))])
+    chosen = one_per_voxel(points, 0.5, limit=1000)
+    assert np.array_equal(chosen // 10, np.arange(1000))

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from perception.findings import Door
 from perception.sightlines import believable
@@ -58,3 +60,38 @@ def test_a_known_door_is_a_passage_even_where_nobody_sees_its_threshold() -> Non
     door = Door(4.0, 1.45, (1.0, 0.0), 0.9, 0.9, 2.05, 1.0)
     assert not believable(above_the_blind_cone, STATION, ROOM).any()
     assert believable(above_the_blind_cone, STATION, ROOM, [door]).all()
+
+
+def exits_of(point: np.ndarray, contour: np.ndarray) -> tuple[int, float]:
+    """Slot and share of the way of the last side that a line of sight crosses outwards, side by side."""
+    slot, share, first = -1, -1.0, 0
+    for start, end in zip(contour, np.roll(contour, -1, axis=0), strict=True):
+        side, sight = end - start, point[:2] - STATION[:2]
+        across = sight[0] * side[1] - sight[1] * side[0]
+        if across > 0:
+            way, along = np.linalg.solve(np.column_stack([sight, -side]), start - STATION[:2])
+            if max(share, 0.0) < way < 1 and 0 <= along <= 1:
+                slot, share = first + int(along * np.hypot(*side) / 0.10), way
+        first += int(np.hypot(*side) / 0.10) + 1
+    return slot, share
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 9999))
+def test_what_is_believed_is_what_the_definition_says_point_by_point(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 9))
+    if np.diff(angles, append=angles[0] + 2 * np.pi).max() > 2.8:
+        return
+    contour = STATION[:2] + rng.uniform(1.0, 4.0, 9)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    points = rng.uniform((-5, -5, -0.3), (7, 7, 2.0), (150, 3))
+    found = [exits_of(point, contour) for point in points]
+    slot, share = np.array([s for s, _ in found]), np.array([w for _, w in found])
+    reach = np.hypot(*(points[:, :2] - STATION[:2]).T)
+    outside = (slot >= 0) & ((1 - share) * reach > 0.12)
+    exit_z = STATION[2] + share * (points[:, 2] - STATION[2])
+    total = sum(int(np.hypot(*side) / 0.10) + 1 for side in np.roll(contour, -1, axis=0) - contour)
+    passages = np.bincount(slot[outside & (exit_z < 0.15)], minlength=total) >= 3
+    passages |= np.roll(passages, 1) | np.roll(passages, -1)
+    expected = ~outside | passages[slot] | (share * reach < 0.6)
+    assert np.array_equal(believable(points, STATION, contour), expected)

@@ -62,7 +62,7 @@ def test_noise_of_the_floor_fills_a_single_layer(scene, space):
 
 def test_voxels_away_from_a_slanted_contour_are_outside():
     corners = np.array([[0, 0], [4, 0], [4, 1], [1, 4], [0, 4]], float)
-    shape = RoomShape(corners, 0.0, 2.5, np.empty((0, 4)))
+    shape = RoomShape(corners, 0.0, 2.5, np.hstack([corners, np.roll(corners, -1, axis=0)]))
     space = voxels.room_space(shape)
     centres = space.centres(np.argwhere(np.ones(space.labels.shape, bool)))
     away = shapely.distance(shapely.Polygon(corners), shapely.points(centres[:, :2]))
@@ -263,3 +263,23 @@ def test_counts_are_those_of_table_1(scene, space):
     labelled = voxels.label(space, scene.take(POSE), POSE)
     counts = voxels.counts(labelled)
     assert (counts.seen, counts.total) == (labelled.seen, labelled.total) == (labelled.seen, space.total)
+
+
+@pytest.mark.parametrize(("labeller", "differing"), [("range", 0.02), ("paper", 0.02)])
+def test_a_scan_of_every_third_beam_labels_nearly_as_the_whole(scene, space, labeller, differing):
+    scan = scene.take(POSE, FINE)
+    whole, coarse = (voxels.label(space, taken, POSE, labeller).labels for taken in (scan, scan.every(3)))
+    assert np.mean(whole != coarse) < differing
+
+
+def test_a_grown_space_keeps_its_labels_and_has_the_new_voxels_labelled(scene):
+    small, large = rectangle(1.2, 0.6, 2.6, 2.0, 0.0, 1.9), rectangle(0.9, 0.6, 3.0, 2.4, 0.0, 1.9)
+    scan = scene.take(POSE)
+    before = voxels.label(voxels.room_space(small), scan, POSE)
+    grown = voxels.room_space(large, previous=before)
+    new = voxels.added(grown, before)
+    within = voxels.label(grown, scan, POSE, within=new)
+    everywhere = voxels.label(grown, scan, POSE)
+    assert np.count_nonzero(new) == grown.total - before.total
+    assert np.array_equal(within.labels[~new], grown.labels[~new])
+    assert np.array_equal(within.labels[new], everywhere.labels[new])

@@ -1,4 +1,4 @@
-"""Scans that somebody else took: formats, frames, and files that are no scans."""
+"""Scans that somebody else took: 3DTK's frame, the files of a folder, and the beams found again."""
 
 import warnings
 from pathlib import Path
@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.recorded import read_folder, scan_of
+from drivers.recorded import SUFFIXES, Lattice, RawScan, files_of, read_file, scan_of
 from perception import transforms
 from perception.failure import FailureError
-from perception.scan import BeamPattern
+from perception.scan import BeamPattern, Scan
 from tests.synthetic import COARSE, Scene, box
 
 ROOM = Scene(
@@ -36,17 +36,23 @@ def write_3dtk(folder: Path, points: np.ndarray, pose: str | None = None, name: 
         (folder / f"{name}.pose").write_text(pose)
 
 
+def only(folder: Path) -> RawScan:
+    (path,) = files_of(folder)
+    (raw,) = read_file(path)
+    return raw
+
+
 def pose_of(folder: Path, text: str) -> np.ndarray:
     write_3dtk(folder, points_of_a_room(), text)
-    (recorded,) = read_folder(folder)
-    assert recorded.world_from_scanner is not None
-    return recorded.world_from_scanner
+    pose = only(folder).world_from_scanner
+    assert pose is not None
+    return pose
 
 
 def refusal(folder: Path) -> FailureError:
     with pytest.raises(FailureError) as refused, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        read_folder(folder)
+        only(folder)
     return refused.value
 
 
@@ -56,8 +62,7 @@ def refusal(folder: Path) -> FailureError:
 def test_centimetres_of_a_left_handed_frame_become_metres_of_a_right_handed_one(tmp_path: Path) -> None:
     # One metre to the right, two up, three ahead.
     (tmp_path / "scan000.3d").write_text("100 200 300\n101 200 300\n100 201 300\n")
-    (recorded,) = read_folder(tmp_path)
-    assert np.abs(recorded.scan.points - (3.0, -1.0, 2.0)).max() < 0.011
+    assert np.abs(only(tmp_path).points - (3.0, -1.0, 2.0)).max() < 0.011
 
 
 def test_a_pose_computed_by_hand(tmp_path: Path) -> None:
@@ -88,25 +93,22 @@ def test_points_and_pose_are_changed_alike(
     text = " ".join(map(str, position)) + "\n" + " ".join(map(str, angles))
     (folder / "scan000.3d").write_text("100 200 300\n110 210 310\n90 150 250\n")
     (folder / "scan000.pose").write_text(text)
-    (recorded,) = read_folder(folder)
     # Intrinsic x, y, z: R = Rx Ry Rz, as EulerToMatrix4 has it.
     x, y, z = Rotation.from_euler("XYZ", angles, degrees=True).apply((100.0, 200.0, 300.0)) + position
-    ours = transforms.apply(recorded.world_from_scanner, np.array([[3.0, -1.0, 2.0]]))[0]
+    ours = transforms.apply(only(folder).world_from_scanner, np.array([[3.0, -1.0, 2.0]]))[0]
     np.testing.assert_allclose(ours, np.array([z, -x, y]) / 100, atol=1e-5)
 
 
 def test_a_scan_without_a_pose_has_none(tmp_path: Path) -> None:
     write_3dtk(tmp_path, points_of_a_room())
-    (recorded,) = read_folder(tmp_path)
-    assert recorded.world_from_scanner is None
+    assert only(tmp_path).world_from_scanner is None
 
 
 def test_what_the_scanner_cannot_measure_is_no_return(tmp_path: Path) -> None:
     room = points_of_a_room()
     strange = np.array([[0.1, 0.0, 0.2], [0.0, 45.0, 0.0], [np.nan, 1.0, 1.0]])
     write_3dtk(tmp_path, np.vstack([room, strange]))
-    (recorded,) = read_folder(tmp_path)
-    ranges = np.linalg.norm(recorded.scan.points, axis=1)
+    ranges = np.linalg.norm(only(tmp_path).points, axis=1)
     assert 0.4 < ranges.min() < ranges.max() < 20.0
     assert len(ranges) == len(room)
 
@@ -121,9 +123,9 @@ def test_clouds_are_read_as_they_are(suffix: str, tmp_path: Path) -> None:
     plain = tmp_path / f"cloud{suffix.lower()}"
     o3d.io.write_point_cloud(str(plain), cloud)
     plain.rename(tmp_path / f"cloud{suffix}")
-    (recorded,) = read_folder(tmp_path)
-    assert recorded.world_from_scanner is None
-    assert len(recorded.scan.points) == len(points)
+    raw = only(tmp_path)
+    assert raw.world_from_scanner is None
+    assert len(raw.points) == len(points)
 
 
 def test_scans_come_in_the_order_of_their_names_and_other_files_are_left_alone(tmp_path: Path) -> None:
@@ -131,32 +133,97 @@ def test_scans_come_in_the_order_of_their_names_and_other_files_are_left_alone(t
     for name, height in (("b", 0.2), ("a", 0.1), ("c", 0.3)):
         write_3dtk(tmp_path, room, f"0 {100 * height} 0 0 0 0", name)
     (tmp_path / "notes.txt").write_text("nothing")
-    found = read_folder(tmp_path)
-    assert [recorded.scan.scan_id for recorded in found] == ["S01", "S02", "S03"]
-    heights = [recorded.world_from_scanner[2, 3] for recorded in found if recorded.world_from_scanner is not None]
+    found = [raw for path in files_of(tmp_path) for raw in read_file(path)]
+    assert [raw.source for raw in found] == ["a.3d", "b.3d", "c.3d"]
+    heights = [raw.world_from_scanner[2, 3] for raw in found if raw.world_from_scanner is not None]
     assert heights == pytest.approx([0.1, 0.2, 0.3])
 
 
 # --- beams -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("step", [0.5, 1.0])
+def found_again(points: np.ndarray) -> Scan:
+    scan, gridded = scan_of(RawScan(points.astype(np.float64), "made"), "S01")
+    assert not gridded
+    return scan
+
+
+@pytest.mark.parametrize("step", [0.5, 0.7, 1.0, 1.3])
 def test_the_beams_are_found_again_by_direction(step: float) -> None:
     pattern = BeamPattern.with_step(np.deg2rad(step), (np.deg2rad(-40), np.deg2rad(60)), (0.5, 120.0))
     points = points_of_a_room(pattern)
-    scan = scan_of(points, "S01")
-    assert scan.pattern.columns == pattern.columns
+    scan = found_again(points)
+    assert (scan.pattern.columns, scan.pattern.rows) == (pattern.columns, pattern.rows)
     assert len(scan.points) > 0.97 * len(points)
     off = np.einsum("ij,ij->i", scan.pattern.directions(scan.beam), scan.points)
     assert (off / np.linalg.norm(scan.points, axis=1)).min() > np.cos(np.deg2rad(step))
 
 
+def test_the_rings_of_a_spinning_scanner_are_its_rows() -> None:
+    rings = BeamPattern(1800, 16, np.deg2rad(-15), np.deg2rad(15), 0.5, 120.0)
+    points = points_of_a_room(rings)
+    scan = found_again(points)
+    assert scan.pattern.rows == 16
+    assert len(scan.points) > 0.95 * len(points)
+
+
+def test_beams_that_went_anywhere_are_found_at_the_step_that_they_fill() -> None:
+    rng = np.random.default_rng(0)
+    away = rng.normal(size=(40_000, 3))
+    points = 3.0 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    scan = found_again(points)
+    # Near the poles a grid of azimuth and elevation is too fine for them.
+    assert 0.4 < len(scan.points) / scan.pattern.size < 1.0
+
+
 def test_of_two_points_in_one_beam_the_nearer_one_was_measured() -> None:
     room = points_of_a_room()
     behind = room[::7] * 1.5
-    scan = scan_of(np.vstack([behind, room]), "S01")
+    scan = found_again(np.vstack([behind, room]))
     assert len(np.unique(scan.beam)) == len(scan.beam)
     assert np.linalg.norm(scan.points, axis=1).max() <= np.linalg.norm(room, axis=1).max() + 1e-5
+
+
+@pytest.mark.parametrize("count", [1, 2, 50])
+def test_few_points_have_beams_as_well(count: int) -> None:
+    points = np.random.default_rng(count).uniform(1, 2, (count, 3))
+    assert len(found_again(points).points) >= 1
+
+
+def grid(rows: int, columns: int, turn: float, rise: float, noise: float = 0.0) -> RawScan:
+    """Points on a sphere by a grid whose columns turn by ``turn`` and rows rise by ``rise`` degrees."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    azimuth = np.deg2rad(17.3 + turn * column)
+    elevation = np.deg2rad(-abs(rise) * rows / 2 * np.sign(rise) + rise * row)
+    wobble = np.random.default_rng(0).normal(0, np.deg2rad(noise), (2, len(row)))
+    azimuth, elevation = azimuth + wobble[0], elevation + wobble[1]
+    away = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    return RawScan(3.0 * np.stack(away, axis=1), "made", lattice=Lattice(row, column, rows, columns))
+
+
+@pytest.mark.parametrize(("turn", "rise"), [(1.0, 1.0), (-1.0, 1.0), (0.5, -0.5), (-0.36, 0.9)])
+def test_the_grid_of_the_file_is_the_pattern_whichever_way_it_turns(turn: float, rise: float) -> None:
+    raw = grid(90, round(360 / abs(turn)), turn, rise, noise=0.02)
+    scan, gridded = scan_of(raw, "S01")
+    assert gridded
+    assert (scan.pattern.rows, scan.pattern.columns) == (90, round(360 / abs(turn)))
+    assert len(scan.points) > 0.999 * len(raw.points)
+
+
+def test_a_sector_of_a_grid_is_a_sector_of_the_circle() -> None:
+    scan, gridded = scan_of(grid(60, 120, 1.0, 1.0), "S01")
+    assert gridded
+    assert scan.pattern.columns == 360
+    assert np.count_nonzero((scan.range_image() > 0).any(axis=0)) == 120
+
+
+def test_a_grid_whose_points_lie_elsewhere_is_not_believed() -> None:
+    honest = grid(90, 360, 1.0, 1.0)
+    assert honest.lattice is not None
+    shuffled = np.random.default_rng(0).permutation(honest.points)
+    scan, gridded = scan_of(RawScan(shuffled, "made", lattice=honest.lattice), "S01")
+    assert not gridded
+    assert len(scan.points) > 0.9 * len(shuffled)
 
 
 # --- what is no scan -------------------------------------------------------------------------------------------------
@@ -166,14 +233,14 @@ def test_a_folder_without_clouds_says_what_was_expected(tmp_path: Path) -> None:
     failure = refusal(tmp_path).failure
     assert failure.code == "RECORDED_NONE"
     assert str(tmp_path) in failure.message
-    assert ".3d, .ply, .pcd" in failure.message
+    assert all(suffix in failure.message for suffix in SUFFIXES)
 
 
 @pytest.mark.parametrize(
     ("name", "content"),
     [
         ("empty.3d", ""), ("words.3d", "one two three\n"), ("short.3d", "1 2\n"), ("far.3d", "5000 0 0\n6000 0 0\n"),
-        ("one.3d", "1 2 3\n"), ("junk.ply", "junk"), ("junk.pcd", "junk"), ("binary.3d", "\x00\xff\x00"),
+        ("junk.ply", "junk"), ("junk.pcd", "junk"), ("binary.3d", "\x00\xff\x00"),
     ],
 )  # fmt: skip
 def test_a_broken_file_is_named(name: str, content: str, tmp_path: Path) -> None:

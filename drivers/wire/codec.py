@@ -45,6 +45,8 @@ class Codec(Generic[M]):
         """Raises :class:`UndecodableError`, and nothing else, for whatever is not such a message."""
         version, request_id = 0, ""
         try:
+            if len(frame) > MAX_MESSAGE:  # not every transport has a limit of its own
+                raise ValueError(f"{len(frame)} bytes are over {MAX_MESSAGE}")
             peek = _peek.decode(frame)
             version, request_id = peek.version, peek.request_id
             if version != PROTOCOL:

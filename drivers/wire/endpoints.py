@@ -12,11 +12,20 @@ class Endpoints:
         control: requests and replies.
         bulk: scan data (scanner only).
         telemetry: published state (base only).
+        server_key: the agent's public key, as ``mission keys`` prints it there; empty for an agent without keys.
+        serial: the device's serial number that the site was measured out with; empty for any.
     """
 
     control: str
     bulk: str = ""
     telemetry: str = ""
+    server_key: str = ""
+    serial: str = ""
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Those that are given."""
+        return tuple(filter(None, (self.control, self.bulk, self.telemetry)))
 
 
 def is_local(endpoint: str) -> bool:
@@ -26,6 +35,6 @@ def is_local(endpoint: str) -> bool:
         return True
     host = address.rpartition(":")[0].strip("[]")
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return transport == "tcp" and ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"

@@ -44,9 +44,22 @@ class BaseTelemetry:
 
 
 class BaseDevice(Protocol):
-    """A mobile base at hand."""
+    """A mobile base at hand.
+
+    Its wheels are at rest until they are permitted to turn, and again 50 ms after the permit has run out: a device
+    judges that in its own control loop, at least at 20 Hz, so that it holds however badly the rest of the agent fares.
+    A control loop that finds it was itself stalled for more than 0.2 s brings the wheels to rest first.
+    """
 
     def info(self) -> BaseInfo: ...
+
+    def permit(self, until: float) -> None:
+        """The wheels may turn until this instant of ``time.monotonic()``, which takes the place of any told before.
+
+        After it they are brought to rest at once; the goal is kept (activity ``held``), its patience does not run
+        out, and a later permit lets the drive go on.
+        """
+        ...
 
     def telemetry(self) -> BaseTelemetry: ...
 

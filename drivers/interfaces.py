@@ -71,8 +71,10 @@ class BaseState:
         moving: whether the wheels turn.
         emergency_stop: whether the hardware stop is pressed.
         battery: state of charge in [0, 1].
-        activity: one of ``idle``, ``driving``, ``waiting``, ``blocked``, ``stopped``.
+        activity: one of ``idle``, ``driving``, ``waiting``, ``blocked``, ``stopped``, ``held`` (there is a goal, but
+            nobody lets the wheels turn).
         age: seconds since it was received.
+        owner: of the lease, empty while the base is free.
     """
 
     odom_from_base: Matrix
@@ -82,6 +84,26 @@ class BaseState:
     battery: float
     activity: str
     age: float
+    owner: str = ""
+
+
+@dataclass(frozen=True)
+class Lease:
+    """The right to move a base. Of two numbers ``(epoch, sequence)`` of one base, the greater was given later.
+
+    Args:
+        epoch: of the base agent's boot.
+        sequence: counts the leases of that boot.
+        owner: host, process and user, for people to read.
+    """
+
+    epoch: int
+    sequence: int
+    owner: str
+
+    @property
+    def number(self) -> tuple[int, int]:
+        return self.epoch, self.sequence
 
 
 @dataclass(frozen=True)
@@ -128,7 +150,10 @@ class DriveReport:
 
 
 class Base(Protocol):
-    """A mobile base that plans and drives in the robot map it is given and stops by itself before obstacles."""
+    """A mobile base that plans and drives in the robot map it is given and stops by itself before obstacles.
+
+    It is moved by the owner of its lease alone, and its wheels turn only while that owner's beats arrive and allow it.
+    """
 
     def info(self) -> Job[BaseInfo]:
         """Ask who answers; fails with ``AGENT_UNREACHABLE``."""
@@ -138,15 +163,37 @@ class Base(Protocol):
         """Newest telemetry, or None before the first."""
         ...
 
+    def acquire(self, owner: str) -> Job[Lease]:
+        """Become the one who moves the base.
+
+        Fails with ``LEASE_HELD``, naming the owner in its message and evidence (``owner``, ``silent_s`` since it was
+        last heard of, ``free_in_s``), or ``AGENT_UNREACHABLE``.
+        """
+        ...
+
+    def beat(self, tick: int, may_move: bool) -> None:
+        """Say that the mission is alive; called at every tick, from the tick loop itself and from nowhere else.
+
+        The base answers for its wheels only as far as it hears this: without a beat for half a second, or with
+        ``may_move`` False, it stands still and keeps its goal, and goes on with the next beat that allows it. Never
+        blocks. All calls come from one thread, ``tick`` counting up.
+        """
+        ...
+
+    def release(self) -> Job[None]:
+        """Give the lease back, at rest. Harmless without one."""
+        ...
+
     def drive(self, goal: DriveGoal) -> Job[DriveReport]:
         """Drive to a goal.
 
         Fails with ``NAV_NO_PATH`` (nothing was driven), ``NAV_BLOCKED`` (an obstacle stayed in the way),
-        ``NAV_STUCK`` (no progress, localisation lost), ``ESTOP``, ``AGENT_UNREACHABLE``. Evidence holds the
-        ``track`` driven and the last ``map_from_base``. Cancelling stops the base.
+        ``NAV_STUCK`` (no progress, localisation lost), ``ESTOP``, ``LEASE_LOST`` (the base is somebody else's now, or
+        was never ours; evidence names its ``owner``), ``AGENT_UNREACHABLE``. Evidence holds the ``track`` driven and
+        the last ``map_from_base``. Cancelling stops the base.
         """
         ...
 
     def stop(self) -> Job[None]:
-        """Bring the wheels to rest and drop any goal. Harmless at any time."""
+        """Bring the wheels to rest and drop any goal. Harmless at any time, and obeyed with or without the lease."""
         ...

@@ -1,6 +1,7 @@
 """Work that takes longer than a tick: something to poll and to cancel, whoever does it."""
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -92,3 +93,17 @@ class BackgroundJob(Generic[T]):
 
     def cancel(self) -> None:
         self._progress.cancel()
+
+
+def wait_for(job: Job[T], seconds: float) -> T | Failure:
+    """Block until a job has ended; only for use outside of the tick."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        outcome = job.poll()
+        if isinstance(outcome, Done):
+            return outcome.value
+        if isinstance(outcome, Failed):
+            return outcome.failure
+        time.sleep(0.02)
+    job.cancel()
+    return Failure("AGENT_UNREACHABLE", f"no answer within {seconds:.0f} s")

@@ -21,7 +21,7 @@ from perception.failure import Failure, FailureError
 from perception.grids import Cell, Grid
 from perception.transforms import Matrix
 
-PROTOCOL = 1
+PROTOCOL = 2
 MAX_MESSAGE = 2 << 20
 """Bytes of the largest frame; sockets drop a peer that sends more."""
 CHUNK = 1 << 20
@@ -35,6 +35,10 @@ Name = Annotated[str, Meta(max_length=256)]
 Finite = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Count = Annotated[int, Meta(ge=0, le=MAX_SCAN)]
+LeaseNumber = tuple[Annotated[int, Meta(ge=0)], Annotated[int, Meta(ge=0)]]
+"""Epoch and sequence of a :class:`drivers.interfaces.Lease`."""
+Nonce = Annotated[int, Meta(ge=0)]
+Owner = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,256}\Z")]
 Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 
 
@@ -220,10 +224,36 @@ class Read(Query, frozen=True):
     index: Count
 
 
+class AcquireLease(Command, frozen=True):
+    """Who asks wants to move the base: ``LeaseGranted``."""
+
+    owner: Owner
+
+
+class ReleaseLease(Command, frozen=True):
+    """Its owner needs the base no more: ``Ok``."""
+
+    lease: LeaseNumber
+
+
+class Beat(Body, frozen=True):
+    """The owner's tick loop is alive, and the wheels may turn or not: ``Ok``, or ``Late`` for one held back.
+
+    No :class:`Command`, for its nonce says how old it is, and there is nothing to obey twice.
+    """
+
+    lease: LeaseNumber
+    nonce: Nonce
+    tick: Annotated[int, Meta(ge=0)]
+    may_move: bool
+
+
 class Drive(Command, frozen=True):
-    """Drive to a goal: ``Pending``, or the end of it when it is known."""
+    """Drive to a goal: ``Pending``, or the end of it when it is known, or ``Late`` when the nonce is too old."""
 
     goal: Goal
+    lease: LeaseNumber
+    nonce: Nonce
 
 
 class DriveStatus(Query, frozen=True):
@@ -233,7 +263,10 @@ class DriveStatus(Query, frozen=True):
 
 
 class Stop(Command, frozen=True):
-    """Stand still, and never start this goal if it is still to come; without a goal whatever is done: ``Ok``."""
+    """Stand still, and never start this goal if it is still to come; without a goal whatever is done: ``Ok``.
+
+    The one order that moves nothing, and so the one that needs no lease.
+    """
 
     always: ClassVar[bool] = True
     goal_id: GoalId | None = None
@@ -259,6 +292,10 @@ class Unknown(Body, frozen=True):
 
 class Stale(Body, frozen=True):
     """A command was refused: another boot is meant, or it came too late. Its sender may stamp it anew."""
+
+
+class Late(Body, frozen=True):
+    """Refused for an old nonce. Its sender may ask anew with the newest, if it still wants to."""
 
 
 class Problem(Body, frozen=True):
@@ -289,6 +326,13 @@ class BaseIdentity(Body, frozen=True):
     model: Name
     serial: Name
     footprint: tuple[Finite, Finite]
+
+
+class LeaseGranted(Body, frozen=True):
+    """:class:`drivers.interfaces.Lease` on the wire."""
+
+    lease: LeaseNumber
+    owner: Owner
 
 
 class ScanDone(Body, frozen=True):
@@ -331,7 +375,11 @@ class DriveDone(Body, frozen=True):
 
 
 class Telemetry(Wire, frozen=True):
-    """What the base tells whoever listens; ``sequence`` counts up within a ``boot``."""
+    """What the base tells whoever listens; ``sequence`` counts up within a ``boot``.
+
+    Each has a ``nonce`` of its own: whoever echoes it has heard this very message, and the base knows when it spoke.
+    ``owner`` is that of the lease, empty while the base is free.
+    """
 
     version: int
     boot: Name
@@ -342,13 +390,27 @@ class Telemetry(Wire, frozen=True):
     emergency_stop: bool
     battery: Fraction
     activity: Annotated[str, Meta(max_length=32)]
+    nonce: Nonce
+    owner: Name
 
 
 ScannerRequest = Identify | Take | ScanStatus | Abort | Release
 BulkRequest = Open | Read
-BaseRequest = Identify | Drive | DriveStatus | Stop
+BaseRequest = Identify | AcquireLease | ReleaseLease | Beat | Drive | DriveStatus | Stop
 AnyReply = (
-    Ok | Pending | Unknown | Stale | Problem | ScannerIdentity | BaseIdentity | ScanDone | Manifest | Chunk | DriveDone
+    Ok
+    | Pending
+    | Unknown
+    | Stale
+    | Late
+    | Problem
+    | ScannerIdentity
+    | BaseIdentity
+    | LeaseGranted
+    | ScanDone
+    | Manifest
+    | Chunk
+    | DriveDone
 )
 
 

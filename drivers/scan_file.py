@@ -11,8 +11,19 @@ bytes       content (little-endian)
 28-         metadata, zeros up to a multiple of 64
 ...         points ``(N, 3)`` float32, intensity ``(N,)`` float32, beam ``(N,)`` int32
 ==========  ==========================================================================
+
+What is no such file is refused by a code that names the cause:
+
+===============  =====================================================================
+SCAN_UNREADABLE  the file is not there, or the disk or the rights say no
+SCAN_TRUNCATED   the file ends before the header says
+SCAN_FOREIGN     another kind of file, or another version of this one
+SCAN_HEADER      the header promises what is not there, or what no scan can have
+SCAN_CORRUPT     the checksum is wrong: bits changed since it was written
+===============  =====================================================================
 """
 
+import mmap
 import os
 import struct
 import zlib
@@ -31,7 +42,8 @@ from perception.scan import BeamPattern, Scan
 
 MAGIC = b"SCAN\r\n\x1a\n"
 VERSION = 1
-MAX_BEAMS = 200_000_000
+MAX_BEAMS = 100_000_000
+"""Beams of the finest pattern that is believed: images of it fit into memory."""
 
 _FIELDS = struct.Struct("<8sIIQ")
 _CRC = struct.Struct("<I")
@@ -86,39 +98,49 @@ def write(path: Path, scan: Scan) -> None:
         os.fsync(file.fileno())
 
 
-def decode(data: Buffer, source: str = "scan") -> Scan:
+def decode(data: Buffer, source: str = "scan", checked: bool = False) -> Scan:
     """The scan in ``data``; its arrays are views of it, not copies.
 
+    Args:
+        checked: whether the checksum was found right before; it is the one step that reads every byte.
+
     Raises:
-        FailureError: ``SCAN_CORRUPT``, naming ``source``, what was expected and what was found.
+        FailureError: one of the codes above, naming ``source``, what was expected and what was found.
     """
     view = memoryview(data).cast("B")
     header = _read_header(view[:_HEADER], view.nbytes, source)
-    _check_crc(view, header, source)
+    if not checked:
+        _check_crc(view, header, source)
     metadata = _read_metadata(view[_HEADER : _HEADER + header.metadata], header, source)
     points, intensity, beam = _arrays(view[header.arrays_at :], metadata.points)
     pattern = BeamPattern(metadata.columns, metadata.rows, *metadata.elevation, *metadata.range)
     if len(beam) and not (beam.min() >= 0 and beam.max() < pattern.size):
-        _corrupt(source, "beams", f"0..{pattern.size - 1}", f"{beam.min()}..{beam.max()}")
+        _refuse("SCAN_HEADER", source, "beams", f"0..{pattern.size - 1}", f"{beam.min()}..{beam.max()}")
     try:
         odom_from_base, base_from_scanner = rigid(metadata.odom_from_base), rigid(metadata.base_from_scanner)
     except ValueError as error:
-        _corrupt(source, "transform", "a rigid one", str(error))
+        _refuse("SCAN_HEADER", source, "transform", "a rigid one", str(error))
     return Scan(metadata.scan_id, points, intensity, beam, pattern, odom_from_base, base_from_scanner)
 
 
-def read(path: Path) -> Scan:
-    """Read an encoded scan; no more than the file's size is ever allocated. Raises as :func:`decode`."""
+def read(path: Path, checked: bool = False) -> Scan:
+    """Map an encoded scan into memory. Raises as :func:`decode`.
+
+    The arrays may be written to, which does not change the file. Their pages belong to the file until then, so that
+    a machine short of memory takes them back; nothing is allocated that the file does not hold.
+    """
     try:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             _read_header(file.read(_HEADER), size, str(path))
-            data = bytearray(size)
-            file.seek(0)
-            found = file.readinto(data)
+            data = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_COPY)
     except OSError as error:
-        raise FailureError("SCAN_CORRUPT", f"{path} cannot be read: {error.strerror}", file=str(path)) from error
-    return decode(memoryview(data)[:found], str(path))
+        raise FailureError(
+            "SCAN_UNREADABLE",
+            f"{path} cannot be read: {error.strerror}; expected a scan there: look after the disk and its rights",
+            file=str(path),
+        ) from error
+    return decode(memoryview(data), str(path), checked)
 
 
 def _parts(scan: Scan) -> Iterator[Buffer]:
@@ -151,35 +173,40 @@ def _parts(scan: Scan) -> Iterator[Buffer]:
 
 def _read_header(start: Buffer, size: int, source: str) -> _Header:
     if len(start) < _HEADER:
-        _corrupt(source, "size", f"at least {_HEADER} bytes", f"{size} bytes")
+        _refuse("SCAN_TRUNCATED", source, "size", f"at least {_HEADER} bytes", f"{size} bytes")
     magic, version, metadata, arrays = _FIELDS.unpack(start[: _FIELDS.size])
     if magic != MAGIC:
-        _corrupt(source, "magic", repr(MAGIC), repr(bytes(magic)))
+        _refuse("SCAN_FOREIGN", source, "first bytes", repr(MAGIC), repr(bytes(magic)))
     if version != VERSION:
-        _corrupt(source, "version", str(VERSION), str(version))
+        _refuse("SCAN_FOREIGN", source, "version", str(VERSION), str(version))
     header = _Header(metadata, arrays, _CRC.unpack(start[_FIELDS.size :])[0])
     if metadata > _MAX_METADATA:
-        _corrupt(source, "metadata", f"at most {_MAX_METADATA} bytes", f"{metadata} bytes")
-    if header.total != size:
-        _corrupt(source, "size", f"{header.total} bytes", f"{size} bytes")
+        _refuse("SCAN_HEADER", source, "metadata", f"at most {_MAX_METADATA} bytes", f"{metadata} bytes")
+    if arrays > MAX_BEAMS * BYTES_PER_POINT:
+        _refuse("SCAN_HEADER", source, "arrays", f"at most {MAX_BEAMS} points", f"{arrays} bytes")
+    if header.total > size:
+        _refuse("SCAN_TRUNCATED", source, "size", f"{header.total} bytes", f"{size} bytes")
+    if header.total < size:
+        _refuse("SCAN_HEADER", source, "size", f"{header.total} bytes", f"{size} bytes")
     return header
 
 
 def _check_crc(view: memoryview, header: _Header, source: str) -> None:
     found = _crc(view[: _FIELDS.size], view[_HEADER:])
     if found != header.crc:
-        _corrupt(source, "checksum", f"{header.crc:08x}", f"{found:08x}")
+        _refuse("SCAN_CORRUPT", source, "checksum", f"{header.crc:08x}", f"{found:08x}")
 
 
 def _read_metadata(data: memoryview, header: _Header, source: str) -> _Metadata:
     try:
         metadata = msgspec.msgpack.decode(data, type=_Metadata)
     except (ValueError, RecursionError) as error:
-        _corrupt(source, "metadata", "a description of the scan", str(error))
+        _refuse("SCAN_HEADER", source, "metadata", "a description of the scan", str(error))
     if metadata.columns * metadata.rows > MAX_BEAMS:
-        _corrupt(source, "pattern", f"at most {MAX_BEAMS} beams", f"{metadata.columns} x {metadata.rows}")
+        _refuse("SCAN_HEADER", source, "pattern", f"at most {MAX_BEAMS} beams", f"{metadata.columns} x {metadata.rows}")
     if metadata.points * BYTES_PER_POINT != header.arrays:
-        _corrupt(source, "arrays", f"{metadata.points} points of {BYTES_PER_POINT} bytes", f"{header.arrays} bytes")
+        promised = f"{metadata.points} points of {BYTES_PER_POINT} bytes"
+        _refuse("SCAN_HEADER", source, "arrays", promised, f"{header.arrays} bytes")
     return metadata
 
 
@@ -198,10 +225,11 @@ def _crc(*parts: Buffer) -> int:
     return value
 
 
-def _corrupt(source: str, what: str, expected: str, found: str) -> NoReturn:
+def _refuse(code: str, source: str, what: str, expected: str, found: str) -> NoReturn:
+    advice = "fetch it again" if code in ("SCAN_TRUNCATED", "SCAN_CORRUPT") else "look at who wrote it"
     raise FailureError(
-        "SCAN_CORRUPT",
-        f"{source}: {what}: expected {expected}, found {found}",
+        code,
+        f"{source}: {what}: expected {expected}, found {found}; {advice}",
         file=source,
         expected=expected,
         found=found,

@@ -1,6 +1,7 @@
 """The two simulated agents as processes: each announces on stdout where it listens, then serves until it is ended."""
 
 import json
+import math
 import sys
 import threading
 from pathlib import Path
@@ -19,6 +20,7 @@ from drivers.simulated.side_channel import StanceServer, ask_stance
 from drivers.simulated.truth_log import TruthLog
 from drivers.simulated.world import World, read_world
 from drivers.wire.endpoints import Endpoints
+from drivers.wire.keys import Keyring
 from perception.failure import FailureError
 from perception.grids import Cell, Grid
 
@@ -32,6 +34,7 @@ def run_scanner_agent(
     seed: int = 0,
     speed: float = 1.0,
     scenario: Path | None = None,
+    keys: Path | None = None,
 ) -> None:
     """Serve a simulated scanner in a world until SIGTERM.
 
@@ -39,6 +42,7 @@ def run_scanner_agent(
         world: file written by :func:`drivers.simulated.world.save_world`.
         truth: folder of the truth log and of the scanner's spool.
         plant: side channel of the simulated base, on which the scanner stands.
+        keys: folder of the keys that may come in; without one only this machine can.
 
     Raises:
         FailureError: ``PROFILE_UNKNOWN``, or as :func:`drivers.agent.serve_scanner`.
@@ -52,7 +56,7 @@ def run_scanner_agent(
         _scenario(scenario).scanner,
         TruthLog(truth),
     )
-    serve_scanner(device, endpoints, truth / "spool", lambda bound: announce(bound))
+    serve_scanner(device, endpoints, truth / "spool", lambda bound: announce(bound), keyring=_keyring(keys))
 
 
 def run_base_agent(
@@ -63,6 +67,7 @@ def run_base_agent(
     seed: int = 0,
     speed: float = 1.0,
     scenario: Path | None = None,
+    keys: Path | None = None,
 ) -> None:
     """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`."""
     building = read_world(world)
@@ -73,7 +78,7 @@ def run_base_agent(
     motion = threading.Thread(target=base.run, args=(ScaledClock(speed), ended.is_set), name="motion", daemon=True)
     motion.start()
     try:
-        serve_base(base, endpoints, lambda bound: announce(bound, plant=channel.endpoint))
+        serve_base(base, endpoints, lambda bound: announce(bound, plant=channel.endpoint), keyring=_keyring(keys))
     finally:
         ended.set()
         motion.join()
@@ -84,6 +89,7 @@ def _warm_up(world: World) -> None:
     """Drive a throw-away base a little: what is compiled at its first use must not cost the first goal its deadline."""
     nowhere = Grid(np.full((120, 120), Cell.FREE, np.uint8), (-3.0, -3.0), 0.05)
     base = SimulatedBase(world)
+    base.permit(math.inf)
     base.start_drive(DriveGoal("warm-up", nowhere, "nowhere", np.eye(4), 0.5, 0.0))
     for _ in range(100):
         base.step(0.05)
@@ -94,6 +100,10 @@ def announce(bound: Endpoints, **more: str) -> None:
     told = {"control": bound.control, "bulk": bound.bulk, "telemetry": bound.telemetry, **more}
     sys.stdout.write(json.dumps(told) + "\n")
     sys.stdout.flush()
+
+
+def _keyring(folder: Path | None) -> Keyring | None:
+    return Keyring(folder) if folder else None
 
 
 def _scenario(path: Path | None) -> Scenario:

@@ -1,12 +1,15 @@
 """The simulated base: the plant, the software that drives it, and what a server on a socket may call."""
 
 import threading
+import time
 from collections.abc import Callable
 
 from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseInfo, DriveGoal, DriveReport
 from drivers.jobs import Failed, Outcome, Running
+from drivers.lease import NEVER
 from drivers.messages import PROTOCOL
+from drivers.simulated.battery import Battery
 from drivers.simulated.clock import Clock
 from drivers.simulated.drive import Drive
 from drivers.simulated.lidar import Lidar, Sweep
@@ -21,8 +24,9 @@ from perception import transforms
 from perception.failure import FailureError
 
 _PLANNING = Running(0.0, "planning")
-_BATTERY_SECONDS = 8 * 3600.0
 _MAX_LAG = 2.0
+_STALLED = 0.2
+_GLANCES = 5
 
 
 class SimulatedBase:
@@ -61,6 +65,9 @@ class SimulatedBase:
         self._newest_sweep = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
         self._swept_at = 0.0
         self._stopped = False
+        self._permitted_until = NEVER
+        self._held_for = 0.0
+        self._battery = Battery(self._scenario.base.battery, world.start[:2])
         self._lock = threading.Lock()
         self._stance = self._plant.stance()
         self._newest = self._report()
@@ -81,6 +88,10 @@ class SimulatedBase:
         """The truth as of the last step; for the simulated scanner and the evaluation only."""
         return self._stance
 
+    def permit(self, until: float) -> None:
+        """Let the wheels turn until this instant of the real monotonic clock, however fast simulated time runs."""
+        self._permitted_until = until
+
     def start_drive(self, goal: DriveGoal) -> None:
         """Accept a goal, dropping any other; one that is known already is not driven again."""
         with self._lock:
@@ -98,13 +109,21 @@ class SimulatedBase:
             self._orders.append(None)
 
     def run(self, clock: Clock, should_stop: Callable[[], bool]) -> None:
-        """Advance with a clock until told to stop; after a long plan the time that was missed is skipped."""
+        """Advance with a clock until told to stop; after a long plan the time that was missed is skipped.
+
+        Between two steps it looks several times whether the wheels may still turn, and after a stall of this very loop
+        they are brought to rest first: meanwhile nobody was in control of them.
+        """
         dt = self._profile.time_step
-        done = clock.now()
+        done, looked = clock.now(), time.monotonic()
         while not should_stop():
+            looked, stalled = time.monotonic(), time.monotonic() - looked > _STALLED
+            if self._plant.moving and (stalled or not self._permitted):
+                self._plant.brake()
+                self._newest = self._report()
             behind = clock.now() - done
             if behind < dt:
-                clock.sleep(dt - behind)
+                clock.sleep(min(dt - behind, dt / _GLANCES))
                 continue
             if behind > _MAX_LAG:
                 done += behind - _MAX_LAG
@@ -114,15 +133,21 @@ class SimulatedBase:
     def step(self, dt: float) -> None:
         """Advance the world and the robot by a few hundredths of a second; called by one thread only."""
         self._obey()
+        permitted = self._permitted
+        if not permitted:
+            self._plant.brake()
+            self._held_for += dt
+            self._swept_at = NEVER  # what it sees when it goes on is new
         before = self._plant.odometry.pose
         if self._plant.step(dt):
             self._truth.write("collision", self._plant.time, pose=self._plant.pose)
-        sweep = self._sweep()
+        sweep = self._sweep() if permitted else None
         if self._localiser:
             self._localiser.predict(before, self._plant.odometry.pose)
             if sweep is not None and self._plant.moving:
                 self._localiser.correct(sweep.plane)
-        self._control(sweep)
+        self._control(sweep, permitted)
+        self._battery.step(dt, self._plant.pose[:2], self._plant.moving)
         self._stance = self._plant.stance()
         self._newest = self._report()
 
@@ -141,7 +166,7 @@ class SimulatedBase:
         self._newest_sweep = self._lidar.sweep(*self._plant.pose, self._plant.bodies())
         try:
             self._localiser = self._localised_in(goal)
-            self._drive = Drive(goal, self._localiser, self._profile, self._plant.time, self._newest_sweep)
+            self._drive = Drive(goal, self._localiser, self._profile, self._driving_time, self._newest_sweep)
             self._outcomes[goal.goal_id] = self._drive.outcome
         except FailureError as error:
             self._outcomes[goal.goal_id] = Failed(error.failure)
@@ -153,15 +178,15 @@ class SimulatedBase:
             raise FailureError("NAV_STUCK", "the base was never told where it stands", goal_id=goal.goal_id)
         return Localiser(goal.robot_map, self._localiser.pose)
 
-    def _control(self, sweep: Sweep | None) -> None:
-        """Let the drive command the wheels, unless the red button is pressed."""
+    def _control(self, sweep: Sweep | None, permitted: bool) -> None:
+        """Let the drive command the wheels, unless the red button is pressed or nobody answers for them."""
         if self._emergency_stop:
             self._plant.brake()
             self._drop("ESTOP", "the emergency stop is pressed")
         if self._drive is None:
             return
-        if isinstance(self._drive.outcome, Running):
-            self._plant.command(*self._drive.step(self._plant.time, sweep))
+        if permitted and isinstance(self._drive.outcome, Running):
+            self._plant.command(*self._drive.step(self._driving_time, sweep))
         if isinstance(self._drive.outcome, Running):
             self._outcomes[self._drive.goal.goal_id] = self._drive.outcome
         elif not self._plant.moving:
@@ -191,6 +216,15 @@ class SimulatedBase:
         return self._newest_sweep
 
     @property
+    def _permitted(self) -> bool:
+        return time.monotonic() < self._permitted_until
+
+    @property
+    def _driving_time(self) -> float:
+        """Simulated time that stands still while the wheels are held."""
+        return self._plant.time - self._held_for
+
+    @property
     def _emergency_stop(self) -> bool:
         return any(start <= self._plant.time < end for start, end in self._scenario.base.emergency_stop)
 
@@ -200,6 +234,11 @@ class SimulatedBase:
             map_from_base=transforms.planar(*self._localiser.pose) if self._localiser else None,
             moving=self._plant.moving,
             emergency_stop=self._emergency_stop,
-            battery=max(0.0, 1.0 - self._plant.time / _BATTERY_SECONDS),
-            activity=self._drive.phase if self._drive else ("stopped" if self._stopped else "idle"),
+            battery=self._battery.charge,
+            activity=self._activity(),
         )
+
+    def _activity(self) -> str:
+        if self._drive is None:
+            return "stopped" if self._stopped else "idle"
+        return self._drive.phase if self._permitted else "held"

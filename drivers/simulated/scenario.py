@@ -1,6 +1,7 @@
 """What goes wrong, and when: scripted people and faults of one simulated mission."""
 
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import yaml
@@ -28,10 +29,12 @@ class BaseFaults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Args:
         slip_at: true distances (m) at which the wheels spin, each half a metre that is not driven.
         emergency_stop: (from, to) in simulated seconds while the red button is pressed.
+        battery: charge at the start, as a share.
     """
 
     slip_at: tuple[float, ...] = ()
     emergency_stop: tuple[tuple[float, float], ...] = ()
+    battery: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -64,7 +64,7 @@ class StanceServer:
                 try:
                     question = msgspec.msgpack.decode(frame, type=int)
                     socket.send_multipart([*route, msgspec.msgpack.encode(self._tell(question))], zmq.NOBLOCK)
-                except (msgspec.DecodeError, zmq.ZMQError) as error:
+                except (ValueError, RecursionError, zmq.ZMQError) as error:  # what msgspec raises are ValueErrors
                     log.debug("a question for the stance was not answered: %s", error)
 
     def _tell(self, question: int) -> _Told:

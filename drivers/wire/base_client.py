@@ -1,22 +1,33 @@
 """A base at the other end of the wire."""
 
-from drivers.interfaces import BaseInfo, BaseState, DriveGoal, DriveReport
+import time
+
+import zmq
+
+from drivers.interfaces import BaseInfo, BaseState, DriveGoal, DriveReport, Lease
 from drivers.jobs import BackgroundJob, Job, Progress
 from drivers.messages import (
     PROTOCOL,
+    AcquireLease,
     BaseIdentity,
+    Beat,
     Body,
     Drive,
     DriveDone,
     DriveStatus,
     Goal,
     Identify,
+    Late,
+    LeaseGranted,
     Ok,
     Pending,
+    ReleaseLease,
+    Request,
     Stop,
     Unknown,
 )
 from drivers.wire.client import Link, Patience
+from drivers.wire.codec import encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
@@ -29,6 +40,8 @@ POLL_S = 0.05
 class BaseClient:
     """:class:`drivers.interfaces.Base` over ZeroMQ; each job has a thread and a socket of its own.
 
+    The beats have a socket too, which belongs to the one thread that calls :meth:`beat` and :meth:`close`.
+
     Args:
         endpoints: ``control`` and ``telemetry`` of the base's agent.
         patience: how long a silent agent is asked again before ``AGENT_UNREACHABLE``.
@@ -39,10 +52,14 @@ class BaseClient:
         self._patience = patience or Patience()
         self._sockets = sockets or Sockets()
         self._listener = Listener(self._sockets.subscriber(endpoints.telemetry))
+        self._lease: Lease | None = None
+        self._beats: zmq.Socket | None = None
 
     def close(self) -> None:
-        """Stop listening to the telemetry; jobs under way are not touched."""
+        """Stop listening to the telemetry, and beating; jobs under way are not touched."""
         self._listener.close()
+        if self._beats is not None:
+            self._beats.close()
 
     def info(self) -> Job[BaseInfo]:
         """See :meth:`drivers.interfaces.Base.info`."""
@@ -58,16 +75,56 @@ class BaseClient:
         """See :meth:`drivers.interfaces.Base.state`."""
         return self._listener.state()
 
+    def acquire(self, owner: str) -> Job[Lease]:
+        """See :meth:`drivers.interfaces.Base.acquire`."""
+
+        def run(progress: Progress) -> Lease:
+            with self._link(progress) as link:
+                granted = link.ask(AcquireLease(owner), LeaseGranted)
+            self._lease = Lease(*granted.lease, granted.owner)
+            return self._lease
+
+        return BackgroundJob(run, "base acquire")
+
+    def beat(self, tick: int, may_move: bool) -> None:
+        """See :meth:`drivers.interfaces.Base.beat`; what cannot be sent at once is not sent."""
+        lease, nonce = self._lease, self._listener.nonce
+        if lease is None or nonce is None:
+            return
+        if self._beats is None:
+            self._beats = self._sockets.dealer(self._endpoint)
+        frame = encode(Request(PROTOCOL, f"beat {tick}", Beat(lease.number, nonce, tick, may_move)))
+        try:
+            self._beats.send(frame, zmq.NOBLOCK)
+            while True:  # what it replies is of no interest: telemetry tells who owns the base
+                self._beats.recv(zmq.NOBLOCK)
+        except zmq.Again:
+            return
+
+    def release(self) -> Job[None]:
+        """See :meth:`drivers.interfaces.Base.release`."""
+        lease, self._lease = self._lease, None
+
+        def run(progress: Progress) -> None:
+            if lease is not None:
+                with self._link(progress) as link:
+                    link.ask(ReleaseLease(lease.number), Ok)
+
+        return BackgroundJob(run, "base release")
+
     def drive(self, goal: DriveGoal) -> Job[DriveReport]:
         """See :meth:`drivers.interfaces.Base.drive`.
 
         A base that restarted meanwhile is not sent on: it no longer knows where it stands, hence ``NAV_STUCK``.
         """
+        lease = self._lease
 
         def run(progress: Progress) -> DriveReport:
+            if lease is None:
+                raise FailureError("LEASE_LOST", "the base was never acquired", goal_id=goal.goal_id, owner="")
             try:
                 with self._link(progress) as link:
-                    return self._follow(link, Goal.of(goal), progress)
+                    return self._follow(link, Goal.of(goal), lease, progress)
             except FailureError:
                 if progress.cancelled:
                     self._stop(Progress(), goal.goal_id)
@@ -79,10 +136,10 @@ class BaseClient:
         """See :meth:`drivers.interfaces.Base.stop`."""
         return BackgroundJob(self._stop, "base stop")
 
-    def _follow(self, link: Link, goal: Goal, progress: Progress) -> DriveReport:
+    def _follow(self, link: Link, goal: Goal, lease: Lease, progress: Progress) -> DriveReport:
         place: Matrix | None = None
         try:
-            status: Body = link.ask(Drive(goal), (Pending, DriveDone), once=True)
+            status = self._order(link, goal, lease, progress)
         except FailureError as error:
             if error.failure.code == "AGENT_RESTARTED":
                 raise _lost(goal, place) from error
@@ -97,6 +154,18 @@ class BaseClient:
         if isinstance(status, DriveDone):
             return status.value()
         raise _lost(goal, place)
+
+    def _order(self, link: Link, goal: Goal, lease: Lease, progress: Progress) -> Body:
+        """Give the order with the newest nonce, anew where it comes too late; the first word of the base on it."""
+        give_up = time.monotonic() + self._patience.total
+        while time.monotonic() < give_up:
+            nonce = self._listener.nonce
+            if nonce is not None:
+                reply = link.ask(Drive(goal, lease.number, nonce), (Pending, DriveDone, Late), once=True)
+                if not isinstance(reply, Late):
+                    return reply
+            progress.wait(POLL_S)
+        raise link.unreachable()
 
     def _stop(self, progress: Progress, goal_id: str | None = None) -> None:
         with self._link(progress) as link:

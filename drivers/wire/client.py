@@ -47,13 +47,22 @@ class Link:
 
     Args:
         progress: the job that is served; its cancelling ends any waiting with ``CANCELLED``.
+        replies: reads what comes back; by default whatever an agent may say.
     """
 
-    def __init__(self, sockets: Sockets, endpoint: str, patience: Patience, progress: Progress) -> None:
+    def __init__(
+        self,
+        sockets: Sockets,
+        endpoint: str,
+        patience: Patience,
+        progress: Progress,
+        replies: Codec[Reply[Any]] = _replies,
+    ) -> None:
         self._sockets = sockets
         self._endpoint = endpoint
         self._patience = patience
         self._progress = progress
+        self._replies = replies
         self._socket = sockets.dealer(endpoint)
         self._boot: str | None = None
         self._clock_offset = 0.0
@@ -120,7 +129,7 @@ class Link:
     def unreachable(self) -> FailureError:
         return FailureError(
             "AGENT_UNREACHABLE",
-            f"no answer from {self._endpoint} in {self._patience.total:g} s",
+            f"no answer from {self._endpoint} in {self._patience.total:g} s{self._sockets.advice}",
             endpoint=self._endpoint,
             waited_s=self._patience.total,
             undecodable=self._undecodable,
@@ -146,7 +155,7 @@ class Link:
 
     def _decode(self, frame: bytes) -> Reply[Any] | None:
         try:
-            return _replies.decode(frame)
+            return self._replies.decode(frame)
         except UndecodableError as error:
             if error.foreign:
                 raise FailureError(

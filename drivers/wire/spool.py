@@ -3,12 +3,14 @@
 import hashlib
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
 
 from drivers import scan_file
 from drivers.messages import CHUNK, Chunk, Manifest, Receipt, Wire
+from drivers.wire.hashing import sha256_of
 from perception.failure import FailureError
 from perception.scan import Scan
 
@@ -122,10 +124,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _manifest(path: Path) -> Manifest:
-    size, whole, digests = 0, hashlib.sha256(), []
-    with path.open("rb") as file:
-        while data := file.read(CHUNK):
-            size += len(data)
-            whole.update(data)
-            digests.append(hashlib.sha256(data).digest())
-    return Manifest(size, whole.hexdigest(), CHUNK, digests)
+    with ThreadPoolExecutor(1, "hash") as beside, path.open("rb") as file:
+        whole = beside.submit(sha256_of, path)
+        digests = [hashlib.sha256(data).digest() for data in iter(lambda: file.read(CHUNK), b"")]
+        return Manifest(file.tell(), whole.result(), CHUNK, digests)

@@ -10,6 +10,7 @@ import zmq
 
 from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseState
+from drivers.lease import LeaseKeeper
 from drivers.messages import PROTOCOL, Pose, Telemetry
 from drivers.wire.codec import Codec, UndecodableError, encode
 
@@ -22,14 +23,23 @@ _telemetry: Codec[Telemetry] = Codec(Telemetry)
 
 
 class Publisher:
-    """Publishes what ``sample`` returns every ``period`` seconds in a thread of its own; owns the bound PUB."""
+    """Publishes what ``sample`` returns every ``period`` seconds in a thread of its own; owns the bound PUB.
+
+    Each time with a nonce of ``keeper``, which whoever moves the base echoes in time.
+    """
 
     def __init__(
-        self, socket: zmq.Socket, sample: Callable[[], BaseTelemetry], boot: str, period: float = PERIOD_S
+        self,
+        socket: zmq.Socket,
+        sample: Callable[[], BaseTelemetry],
+        boot: str,
+        keeper: LeaseKeeper,
+        period: float = PERIOD_S,
     ) -> None:
         self._socket = socket
         self._sample = sample
         self._boot = boot
+        self._keeper = keeper
         self._period = period
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
@@ -63,6 +73,8 @@ class Publisher:
             bool(now.emergency_stop),
             min(max(float(now.battery), 0.0), 1.0),
             now.activity,
+            self._keeper.nonce(),
+            self._keeper.owner,
         )
 
 
@@ -73,6 +85,8 @@ class Listener:
         self._socket = socket
         self._boot, self._sequence = "", -1
         self._newest: tuple[BaseState, float] | None = None
+        self.nonce: int | None = None
+        """Of the newest telemetry; None before the first."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
@@ -106,6 +120,7 @@ class Listener:
             self._boot, self._sequence = message.boot, message.sequence
             # Computed here rather than when asked: whoever asks is the tick, which has no time for it.
             self._newest = _state(message), time.monotonic()
+            self.nonce = message.nonce
 
 
 def _state(message: Telemetry) -> BaseState:
@@ -117,4 +132,5 @@ def _state(message: Telemetry) -> BaseState:
         message.battery,
         message.activity,
         age=0.0,
+        owner=message.owner,
     )

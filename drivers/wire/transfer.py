@@ -11,6 +11,7 @@ from drivers.interfaces import ScanReceipt
 from drivers.jobs import Progress
 from drivers.messages import Chunk, Manifest, Open, Problem, Read
 from drivers.wire.client import Link, Patience
+from drivers.wire.hashing import GrowingHash, sha256_of
 from drivers.wire.spool import sync_folder
 from perception.failure import FailureError
 
@@ -29,7 +30,7 @@ def fetch(link: Link, receipt: ScanReceipt, destination: Path, patience: Patienc
             ``AGENT_UNREACHABLE``, ``CANCELLED``.
     """
     try:
-        if destination.exists() and _sha256(destination) == receipt.sha256:
+        if destination.exists() and sha256_of(destination) == receipt.sha256:
             return destination
         manifest = link.ask(Open(receipt.scan_id), Manifest)
         if (manifest.size, manifest.sha256) != (receipt.size, receipt.sha256):
@@ -38,11 +39,13 @@ def fetch(link: Link, receipt: ScanReceipt, destination: Path, patience: Patienc
         part.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(part, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            _Transfer(link, receipt, manifest, handle, patience, progress).run()
-            os.fsync(handle)
+            with GrowingHash(handle) as whole:
+                _Transfer(link, receipt, manifest, handle, whole, patience, progress).run()
+                os.fsync(handle)
+                found = whole.hexdigest(manifest.size)
         finally:
             os.close(handle)
-        if (found := _sha256(part)) != receipt.sha256:
+        if found != receipt.sha256:
             part.unlink()
             raise _broken(receipt, "its hash is wrong", expected=receipt.sha256, found=found)
         part.replace(destination)
@@ -58,12 +61,21 @@ class _Transfer:
     """One run over the missing chunks of a file."""
 
     def __init__(
-        self, link: Link, receipt: ScanReceipt, manifest: Manifest, handle: int, patience: Patience, progress: Progress
+        self,
+        link: Link,
+        receipt: ScanReceipt,
+        manifest: Manifest,
+        handle: int,
+        whole: GrowingHash,
+        patience: Patience,
+        progress: Progress,
     ) -> None:
         self._link = link
         self._receipt = receipt
         self._manifest = manifest
         self._handle = handle
+        self._whole = whole
+        self._there = bytearray(len(manifest.digests))
         # A chunk may take its time over a slow link: giving up on it early would only send it again.
         self._patience = replace(patience, first=patience.longest)
         self._progress = progress
@@ -76,7 +88,9 @@ class _Transfer:
         os.truncate(self._handle, min(os.fstat(self._handle).st_size, self._manifest.size))
         resumable = os.fstat(self._handle).st_size
         os.posix_fallocate(self._handle, 0, self._manifest.size)
-        self._missing.extend(index for index in range(len(self._manifest.digests)) if not self._has(index, resumable))
+        for index in range(len(self._there)):
+            self._there[index] = self._has(index, resumable)
+        self._missing.extend(index for index, there in enumerate(self._there) if not there)
         waits = self._patience.attempts()
         while self._missing or self._asked:
             self._ask_ahead()
@@ -117,12 +131,19 @@ class _Transfer:
         if isinstance(reply.body, Problem):
             raise reply.body.error()
         if isinstance(reply.body, Chunk) and self._is_right(index, reply.body.data):
-            _write_at(self._handle, reply.body.data, index * self._manifest.chunk)
-            done = len(self._manifest.digests) - len(self._missing) - len(self._asked)
-            self._progress.report(done / len(self._manifest.digests), f"{done} of {len(self._manifest.digests)} MiB")
+            self._accept(index, reply.body.data)
         else:
             self._reject(index)
         return True
+
+    def _accept(self, index: int, data: bytes) -> None:
+        _write_at(self._handle, data, index * self._manifest.chunk)
+        self._there[index] = True
+        first_gap = self._there.find(False)
+        if first_gap > 0:
+            self._whole.reach(first_gap * self._manifest.chunk)
+        done, total = sum(self._there), len(self._there)
+        self._progress.report(done / total, f"{done} of {total} MiB")
 
     def _reject(self, index: int) -> None:
         self._bad += 1
@@ -136,11 +157,6 @@ def _write_at(handle: int, data: bytes, offset: int) -> None:
     while view:  # a nearly full disk takes a part and raises nothing
         written = os.pwrite(handle, view, offset)
         view, offset = view[written:], offset + written
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _broken(receipt: ScanReceipt, why: str, **evidence: object) -> FailureError:

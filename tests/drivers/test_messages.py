@@ -70,7 +70,7 @@ def test_what_is_no_rotation_is_not_received(rotation):
 
 def test_a_goal_survives_the_trip_and_its_map_is_small():
     goal = make_goal()
-    frame = encode(Request(PROTOCOL, "r", Drive(Goal.of(goal))))
+    frame = encode(Request(PROTOCOL, "r", Drive(Goal.of(goal), (1, 1), 7)))
     found = base_requests.decode(frame).body.goal.value()
     assert len(frame) < goal.robot_map.data.size / 5
     np.testing.assert_array_equal(found.robot_map.data, goal.robot_map.data)
@@ -100,7 +100,7 @@ def test_a_message_too_large_for_the_other_side_is_not_sent():
     noise = np.random.default_rng(0).integers(0, 3, (4000, 4000), np.uint8)
     goal = Goal("G", RobotMap.of("M", Grid(noise, (0.0, 0.0), 0.05)), None, 0.0, 0.0, None)
     with pytest.raises(FailureError, match="MESSAGE_TOO_LARGE"):
-        encode(Request(PROTOCOL, "r", Drive(goal)))
+        encode(Request(PROTOCOL, "r", Drive(goal, (1, 1), 7)))
 
 
 def test_a_drive_report_survives_the_trip():

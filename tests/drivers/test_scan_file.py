@@ -3,7 +3,9 @@
 import dataclasses
 import struct
 import tracemalloc
+import zlib
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +17,7 @@ from perception.scan import Scan
 from tests.drivers.wire_fakes import make_scan
 
 ENCODED = scan_file.encode(make_scan(points=50))
+CODES = {"SCAN_TRUNCATED", "SCAN_FOREIGN", "SCAN_HEADER", "SCAN_CORRUPT"}
 
 
 def assert_same(a: Scan, b: Scan) -> None:
@@ -44,7 +47,9 @@ def test_a_written_file_is_what_encode_gives_and_reads_back_as_writable_arrays(t
     assert path.read_bytes() == scan_file.encode(scan)
     found = scan_file.read(path)
     assert_same(found, scan)
-    assert found.points.flags.writeable and found.points.ctypes.data % 16 == 0
+    assert found.points.ctypes.data % 16 == 0
+    found.points[:] = 0
+    assert path.read_bytes() == scan_file.encode(scan), "what is written to the arrays stays out of the file"
 
 
 def test_the_layout_is_the_documented_one():
@@ -62,7 +67,7 @@ def test_a_file_of_the_wrong_length_is_refused_by_name(tmp_path, length):
     with pytest.raises(FailureError) as error:
         scan_file.read(path)
     failure = error.value.failure
-    assert failure.code == "SCAN_CORRUPT"
+    assert failure.code == ("SCAN_TRUNCATED" if length < len(ENCODED) else "SCAN_HEADER")
     assert str(path) in failure.message and failure.evidence["file"] == str(path)
     assert "expected" in failure.evidence and "found" in failure.evidence
 
@@ -71,39 +76,94 @@ def test_every_flipped_bit_is_noticed():
     for position in range(len(ENCODED)):
         garbled = bytearray(ENCODED)
         garbled[position] ^= 1 << (position % 8)
-        with pytest.raises(FailureError, match="SCAN_CORRUPT"):
+        with pytest.raises(FailureError) as error:
             scan_file.decode(garbled)
+        assert error.value.failure.code in CODES
+
+
+def test_a_bit_that_rotted_among_the_points_is_a_wrong_checksum():
+    garbled = bytearray(ENCODED)
+    garbled[-300] ^= 1
+    with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*checksum"):
+        scan_file.decode(garbled)
+
+
+def test_another_kind_of_file_is_foreign():
+    for data in (b"ply\nformat binary_little_endian 1.0\n" + bytes(99), ENCODED[:8] + b"\2" + ENCODED[9:]):
+        with pytest.raises(FailureError, match="SCAN_FOREIGN"):
+            scan_file.decode(data)
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_noise_is_refused(noise):
     for data in (noise, ENCODED[:28] + noise, scan_file.MAGIC + noise):
-        with pytest.raises(FailureError, match="SCAN_CORRUPT"):
+        with pytest.raises(FailureError) as error:
             scan_file.decode(data)
+        assert error.value.failure.code in CODES
 
 
-def test_a_lying_header_allocates_nothing(tmp_path):
+@pytest.mark.parametrize(
+    ("arrays", "code"), [(1 << 50, "SCAN_HEADER"), (1 << 29, "SCAN_TRUNCATED"), (0, "SCAN_HEADER")]
+)
+def test_a_lying_header_allocates_nothing(tmp_path, arrays, code):
     path = tmp_path / "lie.scan"
-    path.write_bytes(struct.pack("<8sIIQI", scan_file.MAGIC, 1, 200, 1 << 50, 0) + bytes(200))
+    path.write_bytes(struct.pack("<8sIIQI", scan_file.MAGIC, 1, 200, arrays, 0) + bytes(1000))
     tracemalloc.start()
     try:
-        with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*size"):
+        with pytest.raises(FailureError, match=code):
             scan_file.read(path)
         assert tracemalloc.get_traced_memory()[1] < 1 << 20
     finally:
         tracemalloc.stop()
 
 
+def rewritten(**changes) -> bytes:
+    """A file whose metadata says something else and whose checksum and lengths agree with that."""
+    metadata_length = struct.unpack_from("<I", ENCODED, 12)[0]
+    metadata = msgspec.msgpack.decode(ENCODED[28 : 28 + metadata_length]) | changes
+    packed = msgspec.msgpack.encode(metadata)
+    fields = struct.pack("<8sIIQ", scan_file.MAGIC, 1, len(packed), 50 * 20)
+    body = packed + bytes(-(28 + len(packed)) % 64) + ENCODED[-50 * 20 :]
+    return fields + struct.pack("<I", zlib.crc32(body, zlib.crc32(fields))) + body
+
+
+def test_a_rewritten_file_is_a_scan_if_it_says_the_truth():
+    assert rewritten() == ENCODED
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"points": 49},
+        {"points": 51},
+        {"points": -1},
+        {"points": 1 << 62},
+        {"columns": 0},
+        {"columns": 1 << 26, "rows": 2},
+        {"rows": 1},
+        {"elevation": [1.0]},
+        {"range": [float("nan"), 1.0]},
+        {"odom_from_base": [0.0] * 16},
+        {"base_from_scanner": [1.0] * 15},
+        {"scan_id": ""},
+        {"extra": 1},
+    ],
+)
+def test_metadata_that_lies_is_refused(lie):
+    with pytest.raises(FailureError, match="SCAN_HEADER"):
+        scan_file.decode(rewritten(**lie))
+
+
 def test_a_missing_file_is_a_typed_failure(tmp_path):
-    with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*cannot be read"):
+    with pytest.raises(FailureError, match=r"SCAN_UNREADABLE.*cannot be read"):
         scan_file.read(tmp_path / "nowhere.scan")
 
 
 def test_beams_outside_the_pattern_are_refused():
     scan = make_scan(points=50)
     stray = dataclasses.replace(scan, beam=scan.beam + scan.pattern.size)
-    with pytest.raises(FailureError, match=r"SCAN_CORRUPT.*beams"):
+    with pytest.raises(FailureError, match=r"SCAN_HEADER.*beams"):
         scan_file.decode(scan_file.encode(stray))
 
 

@@ -1,7 +1,10 @@
+import time
+
 import numpy as np
 import pytest
 
 from drivers.jobs import Done, Failed, Running
+from drivers.lease import NEVER
 from drivers.simulated.base import SimulatedBase
 from drivers.simulated.bodies import Track
 from drivers.simulated.clock import ScaledClock
@@ -15,11 +18,13 @@ WORLD = two_rooms()
 MAP = perfect_map(WORLD)
 DOORWAY = (4.1, 2.0, 0.0)
 BEYOND = (7.0, 3.0, None)
-FOR_EVER = 1e6
+FOR_EVER = 1e9
 
 
 def base_in(world=WORLD, **options):
-    return SimulatedBase(world, **options)
+    base = SimulatedBase(world, **options)
+    base.permit(FOR_EVER)
+    return base
 
 
 def drive(base, place, name="g1", known=WORLD.start, seconds=120.0, robot_map=MAP):
@@ -80,7 +85,7 @@ def test_a_goal_inside_a_wall_has_no_path():
 def test_a_door_of_70_cm_is_passed_and_one_of_55_cm_is_not():
     for width, passes in ((0.72, True), (0.55, False)):
         world = two_rooms(width)
-        base = SimulatedBase(world)
+        base = base_in(world)
         outcome, _ = drive(base, BEYOND, robot_map=perfect_map(world))
         assert isinstance(outcome, Done) == passes, (width, outcome)
         assert base.collisions == 0
@@ -217,3 +222,92 @@ def test_it_runs_by_itself_on_a_clock():
     base.start_drive(goal(MAP, (2.2, 1.5, None), WORLD.start))
     base.run(clock, lambda: not isinstance(base.drive_status("g1"), Running) or clock.now() > 200.0)
     assert isinstance(base.drive_status("g1"), Done)
+
+
+def test_it_does_not_move_before_it_is_permitted_to():
+    base = SimulatedBase(WORLD)
+    outcome, _ = drive(base, BEYOND, seconds=3.0)
+    assert isinstance(outcome, Running)
+    assert misses(base, WORLD.start)[0] == 0.0
+    assert base.telemetry().activity == "held"
+
+
+def test_a_held_base_stands_at_once_keeps_its_goal_and_its_patience_and_arrives_when_it_may():
+    base = base_in()
+    base.start_drive(goal(MAP, DOORWAY, WORLD.start))
+    run(base, 3.0)
+    assert base.telemetry().moving
+    base.permit(NEVER)
+    base.step(0.05)
+    assert not base.telemetry().moving and base.telemetry().activity == "held"
+    at = base.stance().map_from_base
+    assert run(base, 100.0) == 100.0, "it waits for longer than it would for anything else"
+    assert np.array_equal(base.stance().map_from_base, at)
+    base.permit(FOR_EVER)
+    base.step(0.05)
+    assert base.telemetry().activity == "driving", "it does not think that it got stuck"
+    run(base, 120.0)
+    assert isinstance(base.drive_status("g1"), Done), base.drive_status("g1")
+    assert misses(base, DOORWAY)[0] < 0.10 and base.collisions == 0
+
+
+def test_a_permit_runs_out_by_itself():
+    base = SimulatedBase(WORLD)
+    base.start_drive(goal(MAP, BEYOND, WORLD.start))
+    base.permit(FOR_EVER)
+    run(base, 3.0)
+    base.permit(time.monotonic() + 0.1)
+    base.step(0.05)
+    assert base.telemetry().moving
+    time.sleep(0.1)
+    base.step(0.05)
+    assert not base.telemetry().moving
+
+
+def test_a_held_base_obeys_a_stop():
+    base = base_in()
+    base.start_drive(goal(MAP, BEYOND, WORLD.start))
+    run(base, 2.0)
+    base.permit(NEVER)
+    base.stop()
+    base.step(0.05)
+    assert base.drive_status("g1").failure.code == "CANCELLED"
+
+
+def test_who_steps_in_front_of_a_held_base_is_seen_before_it_goes_on():
+    person = Track(((0.0, 3.0, 3.5), (4.0, 3.0, 3.5), (5.0, 3.2, 1.8), (FOR_EVER, 3.2, 1.8)))
+    base = base_in(scenario=Scenario(tracks=(person,)))
+    base.start_drive(goal(MAP, DOORWAY, WORLD.start))
+    run(base, 1.5)
+    base.permit(NEVER)
+    run(base, 6.0)
+    base.permit(FOR_EVER)
+    run(base, 20.0)
+    assert base.collisions == 0
+
+
+class StallingClock(ScaledClock):
+    """Lets whoever sleeps on it wait too long, once; then tells how it goes on."""
+
+    def __init__(self, base):
+        super().__init__(1.0)
+        self.base, self.stalled, self.moving_after = base, False, None
+
+    def now(self):
+        if self.stalled and self.moving_after is None:
+            self.moving_after = self.base.telemetry().moving
+        return super().now()
+
+    def sleep(self, seconds):
+        if not self.stalled and self.base.telemetry().moving:
+            time.sleep(0.3)
+            self.stalled = True
+        super().sleep(seconds)
+
+
+def test_a_control_loop_that_stalled_finds_its_wheels_at_rest():
+    base = base_in()
+    clock = StallingClock(base)
+    base.start_drive(goal(MAP, (2.2, 1.5, None), WORLD.start))
+    base.run(clock, lambda: clock.moving_after is not None)
+    assert clock.moving_after is False

@@ -15,6 +15,7 @@ from drivers.simulated.scenario import ScannerFaults
 from drivers.simulated.truth_log import TruthLog, read_truth
 from drivers.simulated.world import Surface
 from perception import transforms
+from perception.failure import FailureError
 from tests.drivers.simulated_rooms import HEIGHT, shell, world_of
 
 STEP = float(np.deg2rad(1.0))
@@ -194,3 +195,40 @@ def test_an_aborted_scan_fails_and_its_name_is_free_again():
     scanner.start("S1", ScanSettings(STEP), np.eye(4))
     assert isinstance(finished(scanner, clock, "S1"), Done)
     scanner.abort("unknown")
+
+
+def standing_at(x=0.5, moving=False):
+    return Stance(transforms.planar(x, 0.2, 0.3), (0.01, -0.01), (), moving)
+
+
+def test_no_scan_is_begun_while_the_base_moves():
+    scanner, clock = device(stance=iter([standing_at(moving=True), standing_at(), standing_at()]).__next__)
+    with pytest.raises(FailureError, match=r"SCAN_REJECTED.*S1.*moving"):
+        scanner.start("S1", ScanSettings(STEP), np.eye(4))
+    assert scanner.status("S1") is None
+    scanner.start("S1", ScanSettings(STEP), np.eye(4))
+    assert isinstance(finished(scanner, clock, "S1"), Done)
+
+
+@pytest.mark.parametrize("end", [standing_at(0.52), standing_at(moving=True)], ids=["moved", "moving"])
+def test_a_scan_during_which_the_base_moved_is_none(end):
+    scanner, clock = device(stance=iter([standing_at(), end, standing_at(0.52), standing_at(0.52)]).__next__)
+    scanner.start("S1", ScanSettings(STEP), np.eye(4))
+    for _ in range(2):
+        outcome = finished(scanner, clock, "S1")
+        assert isinstance(outcome, Failed) and outcome.failure.code == "SCAN_MOVED"
+    scanner.start("S1", ScanSettings(STEP), np.eye(4))
+    assert isinstance(finished(scanner, clock, "S1"), Done), "taken anew it is one"
+
+
+def test_a_base_that_cannot_be_asked_any_more_does_not_spoil_a_scan():
+    answers = [standing_at()]
+
+    def stance():
+        if not answers:
+            raise FailureError("AGENT_UNREACHABLE", "gone")
+        return answers.pop()
+
+    scanner, clock = device(stance=stance)
+    scanner.start("S1", ScanSettings(STEP), np.eye(4))
+    assert isinstance(finished(scanner, clock, "S1"), Done)

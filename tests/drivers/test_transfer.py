@@ -11,6 +11,7 @@ from drivers.agent import scanner_agent
 from drivers.messages import AnyReply, Chunk, Reply
 from drivers.wire.codec import Codec, encode
 from drivers.wire.endpoints import Endpoints
+from drivers.wire.hashing import GrowingHash
 from drivers.wire.scanner_client import ScannerClient
 from perception import transforms
 from tests.drivers.wire_fakes import (
@@ -183,3 +184,14 @@ def test_a_destination_that_cannot_be_written_is_named(endpoints, taken, tmp_pat
     (tmp_path / "file").write_text("in the way")
     failure = failure_of(ScannerClient(endpoints, QUICK).fetch(receipt, tmp_path / "file" / "S01.scan"))
     assert failure.code == "XFER_WRITE_FAILED" and "S01.scan" in failure.message
+
+
+def test_the_growing_hash_is_that_of_the_file_however_it_grows(tmp_path):
+    path, data = tmp_path / "file", os.urandom((3 << 20) + 77)
+    path.write_bytes(data)
+    with path.open("rb") as file, GrowingHash(file.fileno()) as growing:
+        for end in (0, 5, 5, 1 << 20, 1000, (2 << 20) + 3):
+            growing.reach(end)
+        assert growing.hexdigest(len(data)) == hashlib.sha256(data).hexdigest()
+    with path.open("rb") as file, GrowingHash(file.fileno()) as growing, pytest.raises(EOFError):
+        growing.hexdigest(len(data) + 1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zmq
 
-from drivers.agent import base_agent, serve_base
+from drivers.agent import Agent, base_agent, serve_base
 from drivers.interfaces import BaseInfo
 from drivers.messages import (
     PROTOCOL,
@@ -60,9 +60,24 @@ def agent(device):
 
 @pytest.fixture
 def client(agent):
-    client = BaseClient(agent.endpoints, QUICK)
+    client = owner(agent.endpoints)
     yield client
     client.close()
+
+
+def owner(endpoints: Endpoints) -> BaseClient:
+    """A client that has the lease."""
+    client = BaseClient(endpoints, QUICK)
+    value_of(client.acquire("owner"))
+    return client
+
+
+def heard(agent: Agent) -> int:
+    """The nonce of the newest telemetry."""
+    listener = Listener(Sockets().subscriber(agent.endpoints.telemetry))
+    eventually(lambda: listener.nonce is not None)
+    listener.close()
+    return listener.nonce
 
 
 def ask(socket: zmq.Socket, body: object, request_id: str, **stamp: object) -> Reply:
@@ -80,7 +95,7 @@ def test_a_goal_is_driven_and_reported(device, client):
 
 
 def test_the_base_says_who_it_is(client):
-    assert value_of(client.info()) == BaseInfo("fake base", "0002", 1, (0.9, 0.6))
+    assert value_of(client.info()) == BaseInfo("fake base", "0002", PROTOCOL, (0.9, 0.6))
 
 
 def test_the_same_goal_is_driven_once(device, client):
@@ -161,7 +176,7 @@ def test_a_drive_whose_reply_was_lost_is_not_given_to_the_next_process(device, a
         return [frame]
 
     with Proxy(agent.endpoints.control, to_client=to_client) as proxy:
-        client = BaseClient(Endpoints(proxy.endpoint, telemetry=agent.endpoints.telemetry), QUICK)
+        client = owner(Endpoints(proxy.endpoint, telemetry=agent.endpoints.telemetry))
         device.duration = 30.0
         job = client.drive(make_goal())
         assert lost.wait(20.0)
@@ -181,7 +196,7 @@ def test_over_a_bad_link_each_goal_is_driven_once(device, agent, seed):
         return [[], [frame], [frame], [frame, frame], [frame[:-2], frame]][random.integers(5)]
 
     with Proxy(agent.endpoints.control, unreliable, unreliable) as proxy:
-        client = BaseClient(Endpoints(proxy.endpoint, telemetry=agent.endpoints.telemetry), QUICK)
+        client = owner(Endpoints(proxy.endpoint, telemetry=agent.endpoints.telemetry))
         for name in ("G01", "G02", "G03"):
             assert value_of(client.drive(make_goal(name))).goal_id == name
         client.close()
@@ -189,8 +204,11 @@ def test_over_a_bad_link_each_goal_is_driven_once(device, agent, seed):
 
 
 def test_a_command_is_void_without_a_stamp_after_its_time_and_for_another_boot(device, agent):
-    order = Drive(Goal.of(make_goal()))
+    client = BaseClient(agent.endpoints, QUICK)
+    lease = value_of(client.acquire("owner"))
+    client.close()
     with Sockets().dealer(agent.endpoints.control) as socket:
+        order = Drive(Goal.of(make_goal()), lease.number, heard(agent))
         first = ask(socket, order, "r1")
         assert isinstance(first.body, Stale)
         boot, now = first.boot, first.clock
@@ -198,6 +216,7 @@ def test_a_command_is_void_without_a_stamp_after_its_time_and_for_another_boot(d
         assert isinstance(ask(socket, order, "r3", boot="another", valid_until=now + 9).body, Stale)
         assert isinstance(ask(socket, order, "r4", boot=boot, valid_until=float("nan")).body, Stale)
         assert device.driven == []
+        order = Drive(order.goal, order.lease, heard(agent))
         assert isinstance(ask(socket, order, "r5", boot=boot, valid_until=now + 9).body, Pending)
         eventually(lambda: device.driven)
 
@@ -220,7 +239,7 @@ def test_a_drive_that_comes_after_its_own_stop_is_not_begun(device, agent, clien
 
 def test_garbage_does_not_keep_the_agent_from_a_good_client(agent, client):
     random = np.random.default_rng(3)
-    good = encode(Request(PROTOCOL, "r", Drive(Goal.of(make_goal()))))
+    good = encode(Request(PROTOCOL, "r", Drive(Goal.of(make_goal()), (1, 1), 7)))
     with Sockets().dealer(agent.endpoints.control) as socket:
         for number in range(20_000):
             frame = bytearray(good[: random.integers(1, len(good))] if number % 2 else good)
@@ -256,15 +275,17 @@ def test_an_agent_of_another_version_is_named():
         client = BaseClient(Endpoints(endpoint, telemetry=ANY_PORT.replace("*", "1")), QUICK)
         job = client.info()
         identity, frame = socket.recv_multipart()
-        socket.send_multipart([identity, frame.replace(b"version\x01", b"version\x02")])
+        socket.send_multipart(
+            [identity, frame.replace(b"version" + bytes([PROTOCOL]), b"version" + bytes([PROTOCOL + 1]))]
+        )
         failure = failure_of(job)
         client.close()
-    assert failure.code == "PROTOCOL_MISMATCH" and failure.evidence["theirs"] == 2
+    assert failure.code == "PROTOCOL_MISMATCH" and failure.evidence["theirs"] == PROTOCOL + 1
 
 
 def test_a_client_of_another_version_is_told(agent):
     with Sockets().dealer(agent.endpoints.control) as socket:
-        socket.send(encode(Request(2, "r", Stop())))
+        socket.send(encode(Request(PROTOCOL + 1, "r", Stop())))
         reply = replies.decode(socket.recv())
     assert (reply.request_id, reply.body.code) == ("r", "PROTOCOL_MISMATCH")
 
@@ -278,8 +299,7 @@ def test_the_newest_telemetry_is_known_with_its_age(device, agent, client):
     eventually(lambda: np.allclose(client.state().odom_from_base, device.pose))
     assert client.state().age < 5.0
     agent.close()
-    time.sleep(0.3)
-    assert client.state().age >= 0.3
+    eventually(lambda: client.state().age >= 0.3)
 
 
 def test_telemetry_goes_on_after_a_restart_of_the_agent(device, agent, client):
@@ -308,7 +328,7 @@ def test_old_and_garbled_telemetry_is_ignored():
 
     def message(boot: str, sequence: int, battery: float) -> bytes:
         pose = Pose.of(np.eye(4))
-        return encode(Telemetry(PROTOCOL, boot, sequence, pose, None, False, False, battery, "idle"))
+        return encode(Telemetry(PROTOCOL, boot, sequence, pose, None, False, False, battery, "idle", 7, ""))
 
     def publish_until(battery: float, frame: bytes) -> None:
         eventually(lambda: publisher.send(frame) or ((s := listener.state()) and s.battery == battery))

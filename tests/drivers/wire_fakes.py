@@ -134,6 +134,7 @@ class FakeBase:
         self.refuses: FailureError | None = None
         self.driven: list[DriveGoal] = []
         self.stops = 0
+        self.permits: list[float] = []
         self.pose = transforms.planar(1.0, 2.0, 0.5)
         self.in_map: Matrix | None = None
         self.current: str | None = None
@@ -145,6 +146,9 @@ class FakeBase:
 
     def telemetry(self) -> BaseTelemetry:
         return BaseTelemetry(self.pose, self.in_map, self.current is not None, False, 0.75, "idle")
+
+    def permit(self, until: float) -> None:
+        self.permits.append(until)
 
     def start_drive(self, goal: DriveGoal) -> None:
         if self.refuses:

@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from behaviours.services import Clock
+from mission.ledger import Ledger
 
 
 class JsonLines:
@@ -28,12 +29,10 @@ class JsonLines:
         self._stream = path.open("a", encoding="utf-8", buffering=1)
 
     def record(self, kind: str, /, **figures: object) -> None:
-        event = {
-            "t": round(self._clock.now(), 3),
-            "utc": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-            "kind": kind,
-            **figures,
-        }
+        self.write(stamped(self._clock, kind, figures))
+
+    def write(self, event: dict[str, Any]) -> None:
+        """Append an event that has its time already."""
         line = json.dumps(event, default=plain)
         with self._lock:
             self._stream.write(line + "\n")
@@ -42,6 +41,51 @@ class JsonLines:
 
     def close(self) -> None:
         self._stream.close()
+
+
+class DurableJournal:
+    """Events into the ledger, all of one tick in one go, and at the same time into the log that people read.
+
+    Args:
+        ledger: the truth.
+        mirror: lines of the same events, which nobody waits for.
+        clock: mission time.
+    """
+
+    def __init__(self, ledger: Ledger, mirror: JsonLines, clock: Clock) -> None:
+        self._ledger = ledger
+        self._mirror = mirror
+        self._clock = clock
+        self._waiting: list[str] = []
+        self._lock = threading.Lock()
+
+    def record(self, kind: str, /, **figures: object) -> None:
+        event = stamped(self._clock, kind, figures)
+        with self._lock:
+            self._waiting.append(json.dumps(event, default=plain))
+        self._mirror.write(event)
+
+    def commit(self) -> None:
+        """All events so far are on the disk when this returns; those of a full disk wait for the next time.
+
+        Raises:
+            FailureError: as :meth:`mission.ledger.Ledger.append`.
+        """
+        with self._lock:
+            waiting = list(self._waiting)
+        self._ledger.append(waiting)
+        with self._lock:
+            del self._waiting[: len(waiting)]
+
+
+def stamped(clock: Clock, kind: str, figures: Mapping[str, object]) -> dict[str, Any]:
+    """An event: when, what, and its figures."""
+    return {
+        "t": round(clock.now(), 3),
+        "utc": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+        "kind": kind,
+        **figures,
+    }
 
 
 def plain(value: Any) -> Any:

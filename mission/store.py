@@ -3,12 +3,13 @@
 import itertools
 import json
 import os
-from collections.abc import Mapping
-from contextlib import suppress
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,11 @@ class RunFolder:
         return self.path / "events.jsonl"
 
     @property
+    def ledger(self) -> Path:
+        """The mission's durable memory."""
+        return self.path / "mission.db"
+
+    @property
     def config(self) -> Path:
         return self.path / "config.yaml"
 
@@ -66,11 +72,24 @@ class RunFolder:
         """What was simulated: world, seed, options."""
         return self.simulation / "rehearsal.json"
 
+    @property
+    def agents(self) -> Path:
+        """The process ids of a rehearsal's agents."""
+        return self.simulation / "agents.json"
+
+    @property
+    def comparisons(self) -> Path:
+        """What the pose graph found of each pair of scans that it compared."""
+        return self.path / "evidence" / "comparisons.json"
+
     def scan_file(self, scan_id: str) -> Path:
         return self.path / "scans" / f"{scan_id}.scan"
 
     def robot_map(self, map_id: str) -> Grid:
         return load_grid(self.path / "maps" / f"{map_id}.npz")
+
+    def free_gb(self) -> float:
+        return shutil.disk_usage(self.path).free / 1e9
 
     def map_file(self, map_id: str) -> Path:
         return self.path / "maps" / f"{map_id}.npz"
@@ -85,25 +104,39 @@ class RunFolder:
         return self.path / "evidence" / f"{room_id}_{cycle:02d}_{name}.npz"
 
     def write_state(self, state: Mapping[str, Any]) -> None:
-        write_text(self.state, json.dumps(state, default=plain, indent=1))
+        # Often, and made of what the ledger has: a power cut may cost the last one.
+        write_text(self.state, json.dumps(state, default=plain, indent=1), durably=False)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, durably: bool = True) -> None:
     """Write a whole text file or none of it."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    with _whole(path, durably) as stream:
+        stream.write(text.encode("utf-8"))
 
 
 def write_arrays(path: Path, **arrays: object) -> None:
     """Write an ``.npz`` of plain arrays, whole or not at all."""
+    values: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
+    with _whole(path, durably=True) as stream:
+        np.savez_compressed(stream, **values)
+
+
+@contextmanager
+def _whole(path: Path, durably: bool) -> Iterator[BinaryIO]:
+    """A file that is seen under its name when it is whole, and on the disk then if ``durably``."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as stream:
-        values: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
-        np.savez_compressed(stream, **values)
+        yield stream
         stream.flush()
-        os.fsync(stream.fileno())
+        if durably:
+            os.fsync(stream.fileno())
     partial.replace(path)
+    if durably:
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # without it the name may be gone after a power cut though the bytes are there
+        finally:
+            os.close(folder)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -122,8 +155,9 @@ def load_grid(path: Path) -> Grid:
     return Grid(arrays["data"], (float(x), float(y)), float(arrays["resolution"]))
 
 
-def save_space(path: Path, space: VoxelSpace) -> None:
-    write_arrays(path, labels=space.labels, origin=space.origin, size=space.size)
+def save_space(path: Path, space: VoxelSpace, **more: object) -> None:
+    """Write a space, and what else of plain arrays belongs to it."""
+    write_arrays(path, labels=space.labels, origin=space.origin, size=space.size, **more)
 
 
 def load_space(path: Path) -> VoxelSpace:

@@ -8,17 +8,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mission.stages import placing, seeing, shaping
+from mission.stages import placing, seeing, shaping, warming
 from mission.stages.scan_library import Library
 from mission.store import RunFolder
 
 STAGES: dict[str, Callable[..., Any]] = {
-    "warm_up": placing.warm_up,
+    "warm_up": warming.warm_up,
     "validate_scan": placing.validate_scan,
     "align_scan": placing.align_scan,
     "anchor_scan": placing.anchor_scan,
     "register_scan": placing.register_scan,
     "register_globally": placing.register_globally,
+    "optimise_poses": placing.optimise_poses,
     "segment_room": shaping.segment_room,
     "build_map": shaping.build_map,
     "label_space": seeing.label_space,

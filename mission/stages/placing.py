@@ -1,13 +1,19 @@
 """Stages that give a scan its place: is it a scan, how was it tilted, where was it taken."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
+from mission.journal import plain
 from mission.stages.scan_library import Library, PlacedScans, matrix
-from perception import alignment, global_registration, registration, transforms
-from perception.findings import Alignment, Registration
+from mission.store import RunFolder, write_text
+from mission.summaries import ScanSummary
+from perception import alignment, global_registration, pose_graph, registration, transforms
+from perception.failure import FailureError
+from perception.findings import Alignment, PoseAdjustment, Registration
+from perception.pose_graph import Comparison
 from perception.registration import Reference
 from perception.transforms import Matrix
 
@@ -17,26 +23,9 @@ _MOUNTING = 0.2
 _ANY_HEIGHT = (0.2, 2.2)
 
 
-@dataclass(frozen=True)
-class ScanSummary:
-    """What the tree needs to know of a valid scan."""
-
-    points: int
-    dropped: int
-    return_share: float
-    median_range: float
-    base_from_scanner: Matrix
-
-
-def warm_up(library: Library) -> None:
-    """Load what takes long to load, while the first scan is being taken."""
-    import open3d  # noqa: F401
-
-
 def validate_scan(library: Library, scan_id: str) -> ScanSummary:
-    valid = library.valid(scan_id)
-    scan = valid.scan
-    return ScanSummary(len(scan.points), valid.dropped, valid.return_share, valid.median_range, scan.base_from_scanner)
+    scan, found = library.scan(scan_id), library.verdict(scan_id)
+    return ScanSummary(len(scan.points), found.dropped, found.return_share, found.median_range, scan.base_from_scanner)
 
 
 def align_scan(library: Library, scan_id: str) -> Alignment:
@@ -62,8 +51,10 @@ def register_scan(
     error_rad: float,
 ) -> Registration:
     pose = matrix(guess)
-    found = registration.register(library.surface(scan_id), _reference(library, reference, pose), pose)
+    surface, known = library.surface(scan_id), _reference(library, reference, pose)
+    found = registration.register(surface, known, pose)
     registration.judge(found, (error_m, error_rad), registration.NEAR_ODOMETRY)
+    global_registration.challenge(found, surface, known, pose, (error_m, error_rad))
     return found
 
 
@@ -81,6 +72,35 @@ def register_globally(
     )
     registration.judge(found, (error_m, error_rad))
     return found
+
+
+def optimise_poses(library: Library, scans: PlacedScans) -> PoseAdjustment:
+    """All poses by all pairs that see the same surface; a pair that was compared before is not compared again."""
+    poses = {name: matrix(pose) for name, pose in scans}
+    footprints = {name: pose_graph.footprint(library.surface(name), pose) for name, pose in poses.items()}
+    known = _read_comparisons(library.run)
+    fitted, refused = [], []
+    for target, source in pose_graph.pairs_to_compare(footprints):
+        try:
+            fitted.append(known.get((target, source)) or _compare(library, target, source, poses))
+        except FailureError as error:
+            refused.append((target, source, error.failure.code))
+    write_text(library.run.comparisons, json.dumps([asdict(pair) for pair in fitted], default=plain))
+    return replace(pose_graph.optimise(poses, fitted), refused=tuple(refused))
+
+
+def _compare(library: Library, target: str, source: str, poses: Mapping[str, Matrix]) -> Comparison:
+    target_from_source = transforms.inverse(poses[target]) @ poses[source]
+    return pose_graph.compare((target, library.surface(target)), (source, library.surface(source)), target_from_source)
+
+
+def _read_comparisons(run: RunFolder) -> dict[tuple[str, str], Comparison]:
+    if not run.comparisons.exists():
+        return {}
+    rows = json.loads(run.comparisons.read_text(encoding="utf-8"))
+    arrays = ("target_from_source", "information")
+    pairs = [Comparison(**row | {name: np.array(row[name]) for name in arrays}) for row in rows]
+    return {(pair.target, pair.source): pair for pair in pairs}
 
 
 def _reference(library: Library, placed: PlacedScans, guess: Matrix) -> Reference:

@@ -1,17 +1,28 @@
 """Stages about what was seen and from where more would be: voxel space, labelled map, next best view."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import shapely
 
+from mission.stages import selection
 from mission.stages.scan_library import Library, PlacedScans, matrix
-from mission.store import load_space, save_space, write_arrays
+from mission.store import load_space, read_arrays, save_space, write_arrays
 from perception import labelled_map, next_best_view, voxels
 from perception.findings import LabelCounts, RoomShape, ViewChoice
-from perception.grids import Grid
+from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import Pose, Robot
 from perception.sensor import Sensor
+from perception.visibility import Sight
+
+_MOVED = 0.002
+"""Poses that differ by less (metres, entries of a rotation) are the same to a voxel."""
+
+_sights: WeakKeyDictionary[Library, tuple[str, Sight | None]] = WeakKeyDictionary()
+"""What was in sight in the room that a library was last asked about: the next cycle is the faster for it."""
 
 
 def label_space(
@@ -23,12 +34,36 @@ def label_space(
     voxel: float,
     labeller: Literal["range", "paper"],
 ) -> LabelCounts:
-    before = library.run.voxel_file(room_id, cycle - 1)
-    space = voxels.room_space(shape, voxel, load_space(before) if before.exists() else None)
-    for name, pose in scans:
-        space = voxels.label(space, library.scan(name), matrix(pose), labeller)
-    save_space(library.run.voxel_file(room_id, cycle), space)
+    """Label with what a scan shows of all voxels, once; later only of those by which the room has grown."""
+    file = library.run.voxel_file(room_id, cycle - 1)
+    before, known = _labelled_before(file, scans) if file.exists() else (None, set())
+    space = voxels.room_space(shape, voxel, before)
+    grown = None if before is None else voxels.added(space, before)
+    for name, pose in selection.of_room(scans, shapely.Polygon(shape.contour)):
+        if name == scans[-1][0]:
+            space = voxels.label(space, library.scan(name), matrix(pose), labeller)
+        elif name not in known:
+            space = voxels.label(space, library.coarse(name), matrix(pose), labeller)
+        elif grown is not None and grown.any():
+            space = voxels.label(space, library.coarse(name), matrix(pose), labeller, within=grown)
+    _save_labelled(library.run.voxel_file(room_id, cycle), space, scans)
     return voxels.counts(space)
+
+
+def _labelled_before(file: Path, scans: PlacedScans) -> tuple[VoxelSpace, set[str]]:
+    """The space of an earlier cycle and the scans in it; without labels if one of those has been moved since."""
+    space, arrays = load_space(file), read_arrays(file)
+    poses = dict(zip(arrays["scans"].tolist(), arrays["poses"], strict=True))
+    moved = [name for name, pose in scans if name in poses and not np.allclose(poses[name], pose, atol=_MOVED)]
+    if not moved:
+        return space, set(poses)
+    unseen = np.where(space.labels == Label.OUTSIDE, space.labels, np.uint8(Label.OCCLUDED))
+    return VoxelSpace(unseen, space.origin, space.size), set()
+
+
+def _save_labelled(file: Path, space: VoxelSpace, scans: PlacedScans) -> None:
+    names, poses = [name for name, _ in scans], [pose for _, pose in scans]
+    save_space(file, space, scans=names, poses=poses)
 
 
 def choose_view(
@@ -62,7 +97,17 @@ def choose_view(
         robot_map=library.run.robot_map(map_id),
         robot=Robot(security_goal=goal_clearance, security_path=path_clearance),
     )
-    choice, gains = next_best_view.next_best_view(space, field, sensor, shape.floor_z, weight=gain, avoid=avoid)
+    room_before, sight = _sights.get(library, (room_id, None))
+    choice, gains, sight = next_best_view.rank_views(
+        space,
+        field,
+        sensor,
+        shape.floor_z,
+        weight=gain,
+        avoid=avoid,
+        earlier=sight if room_before == room_id else None,
+    )
+    _sights[library] = (room_id, sight)
     _keep_view(library, room_id, cycle, labelled_map.labelled_map(space, height, shape.floor_z), gains, pose, choice)
     return choice
 

@@ -1,13 +1,15 @@
 """Stages that find the shape of the room and of what can be driven over: contour, robot map, doors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
+from mission.stages import selection
 from mission.stages.scan_library import Library, PlacedScans, matrix
 from mission.store import read_arrays, save_grid, write_arrays
-from perception import contour, robot_map, segmentation, sightlines, transforms
+from mission.summaries import MapSummary
+from perception import contour, robot_map, segmentation, sightlines
 from perception import doors as door_finding
 from perception.findings import Door, DoorFindings, Polygon, RoomShape
 from perception.grids import Cell
@@ -15,15 +17,6 @@ from perception.robot_map import MapEvidence
 
 _HALF_WIDTH = 0.30
 _IMAGE_CELL = 0.05
-
-
-@dataclass(frozen=True)
-class MapSummary:
-    """A robot map by name, and how much of it is what, square metres."""
-
-    map_id: str
-    free_m2: float
-    obstacle_m2: float
 
 
 def segment_room(
@@ -36,7 +29,8 @@ def segment_room(
     others: Sequence[Polygon],
     previous: RoomShape | None,
 ) -> RoomShape:
-    points, stations, station_of = library.cloud(scans)
+    place = shapely.Point(seed) if previous is None else shapely.Polygon(previous.contour)
+    points, stations, station_of = library.cloud(selection.of_room(scans, place))
     levels = segmentation.floor_and_ceiling(points)
     shape = contour.room_shape(points, levels, seed, stations, station_of, doors, others, previous)
     _keep_ceiling(library, room_id, cycle, points, shape)
@@ -57,7 +51,7 @@ def build_map(
     map_from_scanner = matrix(pose)
     scan = library.scan(scan_id)
     station = map_from_scanner[:3, 3]
-    points = transforms.apply(map_from_scanner, scan.points)
+    points = robot_map.below(scan.points, map_from_scanner, shape.floor_z + robot_map.ROBOT_HEIGHT)
     points = points[sightlines.believable(points, station, shape.contour, doors, shape.floor_z)]
     partial = robot_map.partial_map(points, station, azimuth_step=2 * scan.pattern.azimuth_step)
     evidence = robot_map.couple(_load_evidence(library, previous), partial.evidence)

@@ -1,0 +1,218 @@
+"""Jobs written down as they are begun and ended; and, when a mission is resumed, told again.
+
+The tree is deterministic given what its jobs came to, what the base said when they were begun, and the time. So a
+mission is resumed by ticking a fresh tree from the start while the chronicle answers every job with its known outcome:
+no leaf has code for it, and no node's state is ever saved. Where the known outcomes end, the mission waits for leave to
+act, and then begins the next job, or the last one again by its old name, which the agents know whether they did.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from behaviours.services import Clock
+from drivers.interfaces import BaseState
+from drivers.jobs import Done, Failed, Job, Outcome, Running
+from mission.ledger import JobRow, Ledger
+from mission.values import from_json, to_json
+from perception.failure import Failure, FailureError
+
+T = TypeVar("T")
+
+_PATIENCE_TICKS = 100
+_INTERRUPTED = Failure("NAV_INTERRUPTED", "the drive was given up when the mission was ended")
+
+
+class Chronicle:
+    """All jobs of a mission in their order.
+
+    Args:
+        ledger: keeps them.
+        clock: mission time of what is lived, not told.
+    """
+
+    def __init__(self, ledger: Ledger, clock: Clock) -> None:
+        self._ledger = ledger
+        self._clock = clock
+        self._told = _worth_telling(ledger)
+        self._next = 0
+        self._at = 0.0
+        self._moved = False
+        self._may_act = not self._told
+        self._sensed: BaseState | None = None
+        self._divergence: FailureError | None = None
+
+    @property
+    def telling(self) -> bool:
+        """Whether known outcomes are left to be told; nothing that happens meanwhile is new."""
+        return self._next < len(self._told)
+
+    def release(self) -> None:
+        """Leave to act: what was begun when the known outcomes ended is done now."""
+        self._may_act = True
+
+    def now(self) -> float:
+        """Mission time, of what is told or of what is lived."""
+        return self._at if self.telling else self._clock.now()
+
+    def tell(self, tick: Callable[[], None]) -> None:
+        """Tick a fresh tree through all that is known, in no time.
+
+        Raises:
+            FailureError: ``RESUME_DIVERGED`` when the tree does not do what it did.
+        """
+        idle = 0
+        while self.telling:
+            self._moved = False
+            tick()
+            if self._divergence is not None:
+                raise self._divergence
+            # A tick in which nothing began or ended waits for the time of the next job.
+            self._at = self._at if self._moved else max(self._at, self._told[self._next].begun)
+            idle = 0 if self._moved else idle + 1
+            if idle > _PATIENCE_TICKS:
+                row = self._told[self._next]
+                raise FailureError("RESUME_DIVERGED", f"the tree does not come to job {row.seq}, {row.kind} {row.name}")
+
+    def sense(self, live: BaseState | None) -> BaseState | None:
+        """What the base says; while telling, what it said when the next job was begun."""
+        if self.telling:
+            then = from_json(json.loads(self._told[self._next].world))
+            # What the work goes by is of the past; whether the base is well, and whose, is the watch's, and of now.
+            live = then and replace(then, emergency_stop=False, age=0.0, owner=live.owner if live else "")
+        self._sensed = live
+        return live
+
+    def begin(self, kind: str, name: str, start: Callable[[], Job[T]]) -> Job[T]:
+        """Begin a job, or tell its outcome if it is known.
+
+        Args:
+            kind, name: what, of what; stable over restarts.
+            start: acts; called after the job is written down.
+
+        Raises:
+            FailureError: ``RESUME_DIVERGED`` when the tree begins another job than it did before.
+        """
+        if not self.telling:
+            world = json.dumps(to_json(self._sensed))
+            return _LivedJob(self, lambda: self._ledger.begin(kind, name, world, self.now()), start)
+        row = self._told[self._next]
+        if (row.kind, row.name) != (kind, name):
+            # Kept as well as raised: a leaf makes an ordinary failure of what its job raises.
+            self._divergence = FailureError(
+                "RESUME_DIVERGED",
+                f"job {row.seq} was {row.kind} {row.name}, but this tree begins {kind} {name}: "
+                "its settings or its code are not those the mission began with",
+                job=row.seq,
+            )
+            raise self._divergence
+        self._next += 1
+        self._moved = True
+        self._at = max(self._at, row.begun)
+        return _LivedJob(self, lambda: row.seq, start) if row.ended is None else _ToldJob(self, row)
+
+    def told(self, at: float) -> None:
+        self._moved = True
+        self._at = max(self._at, at)
+
+    def may_act(self) -> bool:
+        return self._may_act
+
+    def ended(self, seq: int, how: str, outcome: object) -> None:
+        self._ledger.end(seq, how, json.dumps(to_json(outcome)), self.now())
+
+
+class _ToldJob:
+    """A job whose outcome is known."""
+
+    def __init__(self, chronicle: Chronicle, row: JobRow) -> None:
+        self._chronicle = chronicle
+        self._row = row
+
+    def poll(self) -> Outcome[Any]:
+        assert self._row.ended is not None and self._row.outcome is not None
+        self._chronicle.told(self._row.ended)
+        value = from_json(json.loads(self._row.outcome))
+        if self._row.how == "done":
+            return Done(value)
+        return Failed(value) if isinstance(value, Failure) else Running()
+
+    def cancel(self) -> None:
+        pass
+
+
+class _LivedJob:
+    """A job that is begun when there is leave to act, and written down before and after."""
+
+    def __init__(self, chronicle: Chronicle, write_down: Callable[[], int], start: Callable[[], Job[Any]]) -> None:
+        self._chronicle = chronicle
+        self._write_down = write_down
+        self._start = start
+        self._seq = 0
+        self._job: Job[Any] | None = None
+        self._outcome: Outcome[Any] | None = None
+        self._act()
+
+    def poll(self) -> Outcome[Any]:
+        if self._outcome is not None:
+            return self._outcome
+        if self._job is None and not self._act():
+            return Running(None, "waits for leave to go on, or for room on the disk")
+        assert self._job is not None
+        outcome = self._job.poll()
+        how, value = _ending(outcome)
+        if not how:
+            return outcome
+        with waiting_for_room():
+            self._chronicle.ended(self._seq, how, value)
+            self._outcome = outcome
+        return self._outcome or Running(None, "waits for room on the disk")
+
+    def cancel(self) -> None:
+        if self._outcome is None:
+            self._outcome = Failed(Failure("CANCELLED", "the job was cancelled"))
+            if self._job is not None:
+                self._job.cancel()
+                self._chronicle.ended(self._seq, "cancelled", None)
+
+    def _act(self) -> bool:
+        """Begin it, if that may be; written down first, for nobody may act whom a full disk keeps from saying so."""
+        if self._chronicle.may_act():
+            with waiting_for_room():
+                self._seq = self._write_down()
+                self._job = self._start()
+        return self._job is not None
+
+
+def _ending(outcome: Outcome[Any]) -> tuple[str, object]:
+    if isinstance(outcome, Done):
+        return "done", outcome.value
+    return ("failed", outcome.failure) if isinstance(outcome, Failed) else ("", None)
+
+
+@contextmanager
+def waiting_for_room() -> Iterator[None]:
+    """What a full disk does not take now is tried again at the next tick."""
+    try:
+        yield
+    except FailureError as error:
+        if error.failure.code != "DISK_FULL":
+            raise
+
+
+def _worth_telling(ledger: Ledger) -> list[JobRow]:
+    """The jobs up to where the mission was interrupted.
+
+    A job that was cancelled last was not given up by the tree but by an executive on its way out: it is open again.
+    Only a drive is not, for the base never drives a goal again that it was told to drop; the tree finds another way.
+    """
+    rows = ledger.jobs()
+    if rows and rows[-1].how == "cancelled":
+        last = rows.pop()
+        if last.kind == "drive":
+            rows.append(replace(last, how="failed", outcome=json.dumps(to_json(_INTERRUPTED))))
+        else:
+            rows.append(replace(last, ended=None, how=None, outcome=None))
+    return rows

@@ -1,0 +1,174 @@
+"""The ledger: what it says is on the disk is, in order, unchanged, and one process's alone."""
+
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from drivers.jobs import Done, Failed, Outcome, Running
+from drivers.simulated.clock import VirtualClock
+from mission.chronicle import Chronicle
+from mission.ledger import Ledger
+from perception.failure import FailureError
+from tests.behaviours.bench import HandJob
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "mission.db"
+
+
+def test_a_job_is_known_from_before_it_was_begun_to_its_outcome(path: Path) -> None:
+    ledger = Ledger(path)
+    first = ledger.begin("take", "S01", "null", 1.5)
+    ledger.begin("drive", "G001", "null", 50.0)
+    ledger.end(first, "done", "1", 40.0)
+    ledger.close()
+    taken, drive = Ledger(path).jobs()
+    assert (taken.kind, taken.name, taken.begun, taken.ended, taken.how, taken.outcome) == (
+        "take", "S01", 1.5, 40.0, "done", "1",
+    )  # fmt: skip
+    assert (drive.ended, drive.how, drive.outcome) == (None, None, None)
+
+
+def test_a_job_ends_once(path: Path) -> None:
+    ledger = Ledger(path)
+    seq = ledger.begin("take", "S01", "null", 0.0)
+    ledger.end(seq, "done", "1", 1.0)
+    ledger.end(seq, "failed", "2", 2.0)
+    assert [(row.how, row.outcome) for row in ledger.jobs()] == [("done", "1")]
+
+
+def test_mission_time_goes_on_from_the_last_thing_known(path: Path) -> None:
+    ledger = Ledger(path)
+    assert ledger.newest_time() == 0.0
+    ledger.end(ledger.begin("take", "S01", "null", 5.0), "done", "1", 45.0)
+    ledger.begin("fetch", "S01", "null", 46.0)
+    assert ledger.newest_time() == 46.0
+
+
+def test_events_come_back_in_order_and_a_changed_one_is_found(path: Path) -> None:
+    ledger = Ledger(path)
+    ledger.append([json.dumps({"n": n}) for n in range(3)])
+    ledger.append([json.dumps({"n": 3})])
+    assert [event["n"] for event in ledger.events()] == [0, 1, 2, 3]
+    assert ledger.damage() == []
+    ledger.close()
+    with sqlite3.connect(path) as forger:
+        forger.execute("UPDATE event SET body = ? WHERE seq = 2", ('{"n": 7}',))
+    forger.close()
+    assert Ledger(path).damage() == ["event 2 is not what was written"]
+
+
+def test_a_second_process_is_turned_away_at_once(path: Path) -> None:
+    ledger = Ledger(path)
+    ledger.note("base_epoch", "7")
+    again = "from pathlib import Path; import sys; from mission.ledger import Ledger; Ledger(Path(sys.argv[1]))"
+    second = subprocess.run(
+        [sys.executable, "-c", again, str(path)], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert "LEDGER_IN_USE" in second.stderr
+    ledger.close()
+    assert Ledger(path).about("base_epoch") == "7"
+
+
+@pytest.mark.parametrize(
+    "content", [b"this is no database, but long enough to look like a file of one" * 40, b"SQLite"]
+)
+def test_what_is_no_ledger_is_refused(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(FailureError, match="LEDGER_BAD"):
+        Ledger(path)
+
+
+def test_a_full_disk_leaves_no_half_of_a_transaction_and_takes_it_when_there_is_room(path: Path) -> None:
+    ledger = Ledger(path)
+    (pages,) = ledger._db.execute("PRAGMA page_count").fetchone()
+    ledger._db.execute(f"PRAGMA max_page_count = {pages + 2}")
+    events = [json.dumps({"n": n, "filling": "x" * 3000}) for n in range(20)]
+    with pytest.raises(FailureError, match="DISK_FULL"):
+        ledger.append(events)
+    assert list(ledger.events()) == []
+    ledger._db.execute("PRAGMA max_page_count = 100000")
+    ledger.append(events)
+    assert [event["n"] for event in ledger.events()] == list(range(20))
+    assert ledger.damage() == []
+
+
+def test_a_disk_that_takes_nothing_is_an_error_that_stays(path: Path) -> None:
+    ledger = Ledger(path)
+    ledger._db.execute("PRAGMA query_only = ON")
+    with pytest.raises(FailureError, match="IO_ERROR"):
+        ledger.begin("take", "S01", "null", 0.0)
+
+
+def test_whatever_instant_its_process_is_killed_at_every_promise_was_kept(path: Path) -> None:
+    """The child says each job's number after the ledger took it; all that it said is there, and nothing is broken."""
+    child = (
+        "import sys; from pathlib import Path; from mission.ledger import Ledger\n"
+        "ledger = Ledger(Path(sys.argv[1]))\n"
+        "while True: print(ledger.begin('take', 'S', 'null', 0.0), flush=True)"
+    )
+    promised = 0
+    for said in (1, 7, 20):
+        with subprocess.Popen([sys.executable, "-c", child, str(path)], stdout=subprocess.PIPE, cwd=ROOT) as process:
+            assert process.stdout is not None
+            for _ in range(said):
+                promised = int(process.stdout.readline())
+            os.kill(process.pid, 9)
+        ledger = Ledger(path)
+        assert [row.seq for row in ledger.jobs()][:promised] == list(range(1, promised + 1))
+        assert ledger.damage() == []
+        ledger.close()
+
+
+def told(path: Path, kind: str, name: str) -> Outcome[object]:
+    """The outcome of the last job of a ledger, as the tree of a resumed mission hears it."""
+    chronicle = Chronicle(Ledger(path), VirtualClock())
+    return chronicle.begin(kind, name, lambda: pytest.fail("it acted before it might")).poll()
+
+
+def test_a_drive_that_an_abort_gave_up_is_not_driven_again(path: Path) -> None:
+    """The base keeps refusing a goal that it was told to drop, so the tree must look for another way."""
+    ledger = Ledger(path)
+    ledger.end(ledger.begin("drive", "G001", "null", 1.0), "cancelled", "null", 9.0)
+    ledger.close()
+    outcome = told(path, "drive", "G001")
+    assert isinstance(outcome, Failed)
+    assert outcome.failure.code == "NAV_INTERRUPTED"
+
+
+def test_a_scan_that_an_abort_gave_up_is_ordered_again_by_its_name(path: Path) -> None:
+    ledger = Ledger(path)
+    ledger.end(ledger.begin("take", "S01", "null", 1.0), "cancelled", "null", 9.0)
+    ledger.close()
+    assert isinstance(told(path, "take", "S01"), Running)
+
+
+def test_nobody_acts_whom_a_full_disk_keeps_from_writing_it_down(path: Path) -> None:
+    ledger, acts = Ledger(path), []
+    (pages,) = ledger._db.execute("PRAGMA page_count").fetchone()
+    ledger._db.execute(f"PRAGMA max_page_count = {pages}")
+
+    def act() -> HandJob:
+        acts.append("act")
+        job = HandJob()
+        job.done("scan")
+        return job
+
+    chronicle = Chronicle(ledger, VirtualClock())
+    filling = ["x" * 5000]
+    with pytest.raises(FailureError, match="DISK_FULL"):
+        ledger.append(filling)
+    job = chronicle.begin("take", "S" * 5000, act)
+    assert (isinstance(job.poll(), Running), acts) == (True, [])
+    ledger._db.execute("PRAGMA max_page_count = 100000")
+    assert job.poll() == Done("scan")
+    assert acts == ["act"]
+    assert [row.how for row in ledger.jobs()] == ["done"]

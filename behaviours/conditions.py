@@ -61,6 +61,16 @@ class ScanIsSetAside(Condition):
         return bool(self.read(Key.SURVEY).set_aside)
 
 
+class LoopIsClosed(Condition):
+    """Whether doors close a loop of rooms that the poses do not know of yet."""
+
+    reads = (Key.SURVEY,)
+
+    def holds(self) -> bool:
+        survey = self.read(Key.SURVEY)
+        return bool(survey.loops > survey.loops_closed)
+
+
 class RoomIsOpen(Condition):
     """Whether the room being scanned still wants scans."""
 

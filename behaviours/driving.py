@@ -1,6 +1,7 @@
 """Leaves that send the base somewhere; the base plans, drives and stops before obstacles by itself."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from py_trees.common import Status
 
@@ -125,6 +126,43 @@ class TargetStart(TargetHere):
         if not survey.scans:
             raise FailureError("NAV_NO_MAP", "nothing was registered, so the start has no place in a map")
         return survey.scans[0].base_pose
+
+
+class TargetLastScan(TargetHere):
+    """Where the newest scan was taken: back to the work after an errand."""
+
+    purpose = "back"
+
+    def place(self, survey: Survey) -> tuple[float, float, float | None]:
+        if not survey.scans:
+            raise FailureError("NAV_NO_MAP", "nothing was registered, so there is no work to go back to")
+        return survey.scans[-1].base_pose
+
+
+class RenewGoal(Leaf):
+    """Names the same place again under a new goal, once telemetry had time to say why the drive broke off.
+
+    Whatever stopped the base from outside is seen there, and holds the mission before another goal is sent.
+    """
+
+    writes = (Key.SURVEY, Key.TARGET)
+    settle_s = 1.5
+
+    def begin(self) -> None:
+        self._began = self.services.clock.now()
+
+    def step(self) -> Status:
+        if self.services.clock.now() - self._began < self.settle_s:
+            return Status.RUNNING
+        target: Target | None = self.read(Key.TARGET)
+        if target is None:
+            raise FailureError("NAV_NO_TARGET", "no place to drive to was chosen")
+        survey: Survey = self.read(Key.SURVEY)
+        survey, goal_id = survey.next_goal()
+        self.write(Key.SURVEY, survey)
+        self.write(Key.TARGET, replace(target, goal_id=goal_id))
+        self.say(f"{goal_id} in place of {target.goal_id}")
+        return Status.SUCCESS
 
 
 def back_along(survey: Survey, distance: float) -> tuple[float, float, float | None]:

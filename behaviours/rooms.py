@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from py_trees.common import Status
 
+from behaviours.conditions import Condition
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from behaviours.mapping import poses
@@ -133,6 +134,29 @@ class DeferDoor(Leaf):
         building = survey.building.defer(self.read(Key.DOOR), failure.code if failure else "UNKNOWN")
         self.write(Key.SURVEY, replace(survey, building=building))
         self.say(f"{self.read(Key.DOOR)} is left for later")
+        return Status.SUCCESS
+
+
+class DoorsWereRefused(Condition):
+    """Whether a door is left that could not be passed."""
+
+    reads = (Key.SURVEY,)
+
+    def holds(self) -> bool:
+        refused = [edge for edge in self.read(Key.SURVEY).building.doors if edge.state == "refused"]
+        self.say(", ".join(f"{edge.id} ({edge.reason})" for edge in refused))
+        return bool(refused)
+
+
+class TryDoorsAgain(Leaf):
+    """Every door that could not be passed is unexplored again: somebody has opened it."""
+
+    writes = (Key.SURVEY,)
+
+    def step(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        building = survey.building.reconsider_doors()
+        self.write(Key.SURVEY, replace(survey, building=building))
         return Status.SUCCESS
 
 

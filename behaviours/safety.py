@@ -1,5 +1,7 @@
 """Leaves that run before any work in every tick: what the robot and the operator say, and standing still."""
 
+from typing import ClassVar
+
 from py_trees.common import Status
 
 from behaviours.conditions import Condition
@@ -7,7 +9,7 @@ from behaviours.job import JobLeaf
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from drivers.interfaces import BaseState
-from drivers.jobs import Job
+from drivers.jobs import Done, Job
 from perception.failure import Failure
 
 
@@ -32,24 +34,188 @@ class AbortOrdered(Condition):
         return bool(self.read(Key.COMMAND) == "abort")
 
 
-class EmergencyStopped(Condition):
-    """Whether the hardware stop is pressed."""
+class Paused(Leaf):
+    """RUNNING while the operator wants the robot to stand still, else FAILURE: nothing to wait for."""
+
+    reads = (Key.COMMAND,)
+
+    def step(self) -> Status:
+        paused = self.read(Key.COMMAND) == "pause"
+        self.say("paused by the operator" if paused else "")
+        return Status.RUNNING if paused else Status.FAILURE
+
+
+class Hold(Leaf):
+    """Stands still for as long as something is wrong with the robot, and asks when that has taken too long.
+
+    FAILURE says that there is nothing to hold for, so that the work goes on; SUCCESS that the mission is to end. A
+    concrete leaf says in :meth:`trouble` what is wrong and in :meth:`limit` how long (mission seconds) that is borne.
+    Its questions are named by its code, and not numbered with those of the work.
+    """
 
     reads = (Key.BASE,)
+    writes = (Key.HOLD, Key.QUESTION)
+    code: ClassVar[str]
+    until_told: ClassVar[bool] = False
+    """Whether the operator must say so before the work goes on, even when the trouble is over."""
 
-    def holds(self) -> bool:
-        state: BaseState | None = self.read(Key.BASE)
-        return state is not None and state.emergency_stop
+    WAIT, RESUME, END = "wait", "resume", "end"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._questions = 0
+
+    def trouble(self, base: BaseState) -> str | None:
+        """What is wrong, in plain words with what to do about it; None if nothing is."""
+        raise NotImplementedError(type(self).__name__)
+
+    def limit(self) -> float:
+        raise NotImplementedError(type(self).__name__)
+
+    def begin(self) -> None:
+        self._since: float | None = None
+        self._asked_for = ""
+        self._question: Job[str] | None = None
+
+    def step(self) -> Status:
+        base: BaseState | None = self.read(Key.BASE)
+        words = None if base is None else self.trouble(base)
+        now = self.services.clock.now()
+        if words is None:
+            if self._since is None or not self.until_told:
+                return Status.FAILURE
+            self._show("the trouble is over; it waits for the operator's word")
+            return self._ask("The trouble is over. Shall the mission go on?", self.RESUME)
+        self._since = now if self._since is None else self._since
+        self._show(words)
+        if now - self._since <= self.limit():
+            self._withdraw()
+            return Status.RUNNING
+        return self._ask(f"{words} Wait on?", self.WAIT)
+
+    def terminate(self, new_status: Status) -> None:
+        if new_status == Status.INVALID and self.status != Status.RUNNING:
+            return
+        self._withdraw()
+        hold: Failure | None = self.read(Key.HOLD)
+        # After SUCCESS the mission ends in this very hold.
+        if new_status != Status.SUCCESS and hold is not None and hold.code == self.code:
+            self.write(Key.HOLD, None)
+
+    def _show(self, words: str) -> None:
+        self.say(f"{self.code}: {words}")
+        self.write(Key.HOLD, Failure(self.code, words))
+
+    def _ask(self, text: str, go_on: str) -> Status:
+        if self._asked_for != go_on:
+            self._withdraw()
+            self._asked_for = go_on
+            self._question = self._put(f"{self.code}: {text}", go_on)
+        assert self._question is not None
+        outcome = self._question.poll()
+        if not isinstance(outcome, Done):
+            return Status.RUNNING
+        self._withdraw()
+        if outcome.value == self.END:
+            self.fail(Failure(self.code, text.partition("?")[0]))
+            return Status.SUCCESS
+        self._since = self.services.clock.now()
+        return Status.FAILURE if outcome.value == self.RESUME else Status.RUNNING
+
+    def _put(self, text: str, go_on: str) -> Job[str]:
+        self._questions += 1
+        self.write(Key.QUESTION, text)
+        deadline = self.services.clock.now() + self.services.settings.operator.patience_s
+        name = f"{self.code}-{self._questions}"
+        return self.services.operator.ask(name, text, (go_on, self.END), self.END, deadline)
+
+    def _withdraw(self) -> None:
+        if self._question is not None:
+            self._question.cancel()
+            self.write(Key.QUESTION, None)
+        self._question, self._asked_for = None, ""
 
 
-class BaseIsLost(Condition):
-    """Whether the base has been silent for too long; it stops by itself then, and so do we."""
+class HoldForEmergencyStop(Hold):
+    """The hardware stop is pressed: until it is released, and the operator says so too."""
 
-    reads = (Key.BASE,)
+    code = "ESTOP"
+    until_told = True
 
-    def holds(self) -> bool:
-        state: BaseState | None = self.read(Key.BASE)
-        return state is not None and state.age > self.services.settings.building.base_lost_s
+    def trouble(self, base: BaseState) -> str | None:
+        return "The emergency stop is pressed; release it, then resume." if base.emergency_stop else None
+
+    def limit(self) -> float:
+        return self.services.settings.building.release_s
+
+
+class HoldForLostBase(Hold):
+    """The base has been silent for too long. It stops by itself then; when it comes back the work goes on."""
+
+    code = "BASE_LOST"
+
+    def trouble(self, base: BaseState) -> str | None:
+        if base.age <= self.services.settings.building.base_lost_s:
+            return None
+        return f"The base has been silent for {base.age:.0f} s; see whether it and its network are up."
+
+    def limit(self) -> float:
+        return self.services.settings.building.base_return_s
+
+
+class HoldForLease(Hold):
+    """The base is nobody's, or somebody else's: it is asked for again while it is free, and never fought over."""
+
+    code = "LEASE_LOST"
+    asks_again_s = 2.0
+
+    def begin(self) -> None:
+        super().begin()
+        self._asked_at = float("-inf")
+
+    def trouble(self, base: BaseState) -> str | None:
+        if base.owner == self.services.owner:
+            return None
+        if base.owner:
+            return f"The base belongs to {base.owner} now; end that mission, or this one."
+        now = self.services.clock.now()
+        if now - self._asked_at >= self.asks_again_s:
+            self._asked_at = now
+            self.services.base.acquire(self.services.owner)
+        return "The base has forgotten whose it is; it is asked for again."
+
+    def limit(self) -> float:
+        return self.services.settings.building.base_return_s
+
+
+class HoldForBattery(Hold):
+    """So little charge is left that driving on would strand the robot somewhere worse."""
+
+    code = "BATTERY_CRITICAL"
+
+    def trouble(self, base: BaseState) -> str | None:
+        battery = self.services.settings.battery
+        # What has begun to charge goes on only when it may go on for a while.
+        enough = battery.low if self._since is not None else battery.critical
+        return None if base.battery >= enough else f"The battery is at {base.battery:.0%}; charge it where it stands."
+
+    def limit(self) -> float:
+        return self.services.settings.battery.charging_s
+
+
+class HoldForDisk(Hold):
+    """So little room is left on the disk that the next scan might not fit: it is not taken before there is more."""
+
+    code = "DISK_FULL"
+
+    def trouble(self, base: BaseState) -> str | None:
+        free, needed = self.services.files.free_gb(), self.services.settings.scanning.min_free_gb
+        if free >= needed:
+            return None
+        return f"{free:.2f} GB are free on the disk of the run folder, {needed:.2f} GB needed; make room."
+
+    def limit(self) -> float:
+        return self.services.settings.scanning.room_s
 
 
 class EndMission(JobLeaf):

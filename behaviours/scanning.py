@@ -41,7 +41,10 @@ class StandStill(Leaf):
 
 
 class TakeScan(JobLeaf):
-    """Orders a scan under a new name where the base stands and waits until the scanner has it."""
+    """Orders a scan under a new name where the base stands and waits until the scanner has it.
+
+    Nothing lets the base move from the order to the scan's end, whatever else goes on.
+    """
 
     reads = (Key.BASE,)
     writes = (Key.SCAN, Key.SURVEY)
@@ -61,11 +64,17 @@ class TakeScan(JobLeaf):
         )
         self.write(Key.SURVEY, survey)
         self.write(Key.SCAN, scan)
+        self.services.interlock.hold(self.name)
         step = self.services.settings.scanning.step_deg * math.pi / 180
         return self.services.scanner.take(scan_id, ScanSettings(step), odometry)
 
     def timeout(self) -> float:
         return self.services.settings.scanning.timeout_s
+
+    def terminate(self, new_status: Status) -> None:
+        super().terminate(new_status)
+        if hasattr(self, "services"):
+            self.services.interlock.release(self.name)
 
     def finish(self, value: ScanReceipt) -> Status:
         self.write(Key.SCAN, replace(self.read(Key.SCAN), receipt=value))

@@ -1,4 +1,4 @@
-"""What leaves are handed at ``setup``: the drivers, the perception worker, a clock, a journal, and where files go."""
+"""What leaves are handed at ``setup``: drivers, perception worker, clock, journal, files, and the operator."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from behaviours.settings import Settings
 from drivers.interfaces import Base, Scanner
-from drivers.jobs import Job
+from drivers.jobs import Done, Job, Outcome
 from perception.grids import Grid
 
 
@@ -38,6 +38,59 @@ class Files(Protocol):
 
     def robot_map(self, map_id: str) -> Grid: ...
 
+    def free_gb(self) -> float:
+        """Gigabytes that may still be written."""
+        ...
+
+
+class Operator(Protocol):
+    """Whoever watches over the mission."""
+
+    def ask(self, question_id: str, text: str, options: tuple[str, ...], default: str, deadline: float) -> Job[str]:
+        """Put a question; the job's value is one of the options, the default where nobody answers in time.
+
+        Args:
+            question_id: name, unique within the mission.
+            deadline: mission time after which the default is taken.
+        """
+        ...
+
+
+class NobodyThere:
+    """An operator who takes every default at once: for missions that nobody watches."""
+
+    def ask(self, question_id: str, text: str, options: tuple[str, ...], default: str, deadline: float) -> Job[str]:
+        return _Answered(default)
+
+
+@dataclass(frozen=True)
+class _Answered:
+    answer: str
+
+    def poll(self) -> Outcome[str]:
+        return Done(self.answer)
+
+    def cancel(self) -> None:
+        """There is nothing to cancel."""
+
+
+class Interlock:
+    """Whether anything forbids the wheels to turn just now: a scan that is being taken."""
+
+    def __init__(self) -> None:
+        self._held_by: set[str] = set()
+
+    @property
+    def free(self) -> bool:
+        return not self._held_by
+
+    def hold(self, who: str) -> None:
+        self._held_by.add(who)
+
+    def release(self, who: str) -> None:
+        """Harmless for who does not hold it."""
+        self._held_by.discard(who)
+
 
 @dataclass(frozen=True)
 class Services:
@@ -50,6 +103,10 @@ class Services:
     journal: Journal
     files: Files
     settings: Settings = field(default_factory=Settings)
+    operator: Operator = field(default_factory=NobodyThere)
+    interlock: Interlock = field(default_factory=Interlock)
+    owner: str = ""
+    """By what name this mission holds the lease of the base."""
 
 
 def connect(kwargs: Mapping[str, object]) -> Services:

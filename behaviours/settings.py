@@ -13,12 +13,19 @@ Count = Annotated[int, Ge(1)]
 
 @dataclass(frozen=True)
 class ScanningSettings:
-    """How scans are taken: beam step in degrees, deadline in seconds, attempts at one spot and spots tried."""
+    """How scans are taken: beam step in degrees, deadline in seconds, attempts at one spot and spots tried.
+
+    ``planned`` is for how many scans there must be room on the disk before the mission starts; with less than
+    ``min_free_gb`` it stands still for ``room_s`` seconds at most, until somebody makes room.
+    """
 
     step_deg: Annotated[float, Ge(0.01), Le(5.0)] = 0.2
     timeout_s: Positive = 300.0
     attempts: Count = 2
     spots: Count = 2
+    planned: Count = 40
+    min_free_gb: NotNegative = 0.5
+    room_s: Positive = 3600.0
 
 
 @dataclass(frozen=True)
@@ -67,11 +74,42 @@ class DrivingSettings:
 
 @dataclass(frozen=True)
 class BuildingSettings:
-    """Bounds of the whole mission."""
+    """Bounds of the whole mission.
+
+    A base that is silent for ``base_lost_s`` (seconds of the wall) holds the mission for ``base_return_s`` at most, a
+    pressed emergency stop for ``release_s``.
+    """
 
     max_rooms: Count = 100
     return_to_start: bool = True
-    base_lost_s: Positive = 10.0
+    base_lost_s: Positive = 3.0
+    base_return_s: Positive = 60.0
+    release_s: Positive = 600.0
+
+
+@dataclass(frozen=True)
+class BatterySettings:
+    """Charge, as a share: below ``low`` the robot goes home after the scan, below ``critical`` it stands still.
+
+    It goes on at ``charged``; ``charging_s`` is how long that may take.
+    """
+
+    low: Share = 0.25
+    critical: Share = 0.1
+    charged: Share = 0.8
+    charging_s: Positive = 4 * 3600.0
+
+
+@dataclass(frozen=True)
+class OperatorSettings:
+    """Whether the operator is asked where the robot is at its wits' end, how long an answer is waited for, how often.
+
+    Where ``ask`` is false, and after ``patience_s`` without an answer, each question's default is taken.
+    """
+
+    ask: bool = True
+    patience_s: Positive = 120.0
+    rounds: Count = 3
 
 
 @dataclass(frozen=True)
@@ -83,3 +121,5 @@ class Settings:
     room: RoomSettings = field(default_factory=RoomSettings)
     driving: DrivingSettings = field(default_factory=DrivingSettings)
     building: BuildingSettings = field(default_factory=BuildingSettings)
+    battery: BatterySettings = field(default_factory=BatterySettings)
+    operator: OperatorSettings = field(default_factory=OperatorSettings)

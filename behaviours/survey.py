@@ -7,7 +7,7 @@ from drivers.interfaces import ScanReceipt
 from perception.building import Building
 from perception.findings import Alignment, Door, LabelCounts, Registration, RoomShape
 from perception.stopping import StopDecision
-from perception.transforms import Matrix, inverse, to_planar
+from perception.transforms import Matrix, difference, inverse, planar, to_planar
 
 PlanarPose = tuple[float, float, float]
 """x, y in metres and yaw in radians, map frame."""
@@ -35,7 +35,12 @@ class CurrentScan:
 
 @dataclass(frozen=True)
 class ScanRecord:
-    """A registered scan."""
+    """A registered scan.
+
+    Args:
+        registration: how it was registered; ``map_from_scanner`` may have been adjusted since.
+        residual: metres rms between its surface and that of the scans around it; None before it was compared.
+    """
 
     scan_id: str
     room_id: str
@@ -46,6 +51,18 @@ class ScanRecord:
     receipt: ScanReceipt
     alignment: Alignment
     registration: Registration
+    residual: float | None = None
+
+    @property
+    def moved_m(self) -> float:
+        """How far the building's pose graph has moved the scan from where it was registered, metres."""
+        return difference(self.registration.map_from_scanner, self.map_from_scanner)[0]
+
+    def adjusted(self, map_from_scanner: Matrix, residual: float | None) -> "ScanRecord":
+        """The scan elsewhere, and the base under it as it stood to the scanner."""
+        correction = map_from_scanner @ inverse(self.map_from_scanner)
+        map_from_base = planar(*to_planar(correction @ self.map_from_base))
+        return replace(self, map_from_scanner=map_from_scanner, map_from_base=map_from_base, residual=residual)
 
     @property
     def base_pose(self) -> PlanarPose:
@@ -97,6 +114,9 @@ class Survey:
     map_id: str | None = None
     scans_ordered: int = 0
     goals_given: int = 0
+    questions_asked: int = 0
+    loops_closed: int = 0
+    """Loops that all poses were last adjusted to."""
 
     @property
     def position(self) -> tuple[float, float]:
@@ -115,6 +135,17 @@ class Survey:
 
     def room_scans(self, room_id: str) -> tuple[ScanRecord, ...]:
         return tuple(scan for scan in self.scans if scan.room_id == room_id)
+
+    @property
+    def loops(self) -> int:
+        """Independent loops of rooms and doors: doors between known rooms beyond those that first led to each."""
+        joined = sum(None not in edge.rooms for edge in self.building.doors)
+        return max(0, joined - max(0, len(self.building.rooms) - 1))
+
+    def adjusted(self, poses: Mapping[str, Matrix], residuals: Mapping[str, float]) -> "Survey":
+        """All scans where the building's pose graph has them."""
+        scans = tuple(scan.adjusted(poses[scan.scan_id], residuals.get(scan.scan_id)) for scan in self.scans)
+        return replace(self, scans=scans)
 
     def with_scan(self, scan: ScanRecord) -> "Survey":
         """A registered scan more; the base is known to stand there now."""

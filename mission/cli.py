@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mission.run import Summary
 
 EXIT_CODES = {"complete": 0, "incomplete": 3, "aborted": 4, "safety_stop": 5, "fault": 1}
-USAGE, UNREACHABLE = 2, 6
+USAGE, UNREACHABLE, NO_GO = 2, 6, 7
 
 app = typer.Typer(
     help="A robot with a laser scanner scans a building by itself.",
@@ -30,6 +30,8 @@ agent = typer.Typer(
 app.add_typer(agent, name="agent")
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout; words go to stderr.")]
+Keys = Annotated[Path | None, typer.Option("--keys", help="Folder of this computer's keys.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The mission's run folder.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder that run folders are made in.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Override a setting: settings.room.max_scans=8")]
 
@@ -47,6 +49,7 @@ def simulate(
     ceiling: Annotated[float | None, typer.Option(help="Mesh only: height of a ceiling to add, metres.")] = None,
     storey: Annotated[str | None, typer.Option(help="IFC only: the storey, by name.")] = None,
     start: Annotated[str | None, typer.Option(help="Mesh and IFC: where the robot begins, x,y,yaw in degrees.")] = None,
+    attended: Annotated[bool, typer.Option("--attended", help="Wait for an operator's answers.")] = False,
     out: Out = Path("runs"),
     overrides: Overrides = None,
     as_json: Json = False,
@@ -62,6 +65,7 @@ def simulate(
         profile=profile,
         speed=speed,
         scenario=scenario,
+        attended=attended,
         overrides=tuple(overrides or ()),
         options={key: value for key, value in options.items() if value is not None},
     )
@@ -71,6 +75,7 @@ def simulate(
 @app.command()
 def run(
     site: Annotated[Path, typer.Argument(help="The site's configuration, YAML.")],
+    unattended: Annotated[bool, typer.Option("--unattended", help="Ask nobody: take every default at once.")] = False,
     out: Out = Path("runs"),
     overrides: Overrides = None,
     as_json: Json = False,
@@ -82,13 +87,93 @@ def run(
     from mission.store import RunFolder
 
     def mission() -> "Summary":
-        config = load_config(site, overrides or ())
+        alone = ["settings.operator.ask=false"] if unattended else []
+        config = load_config(site, [*(overrides or ()), *alone])
         folder = RunFolder.create(out, config.site)
         summary = run_mission(config, folder, _display(as_json))
         finish(folder)
         return summary
 
     _finish(mission, as_json)
+
+
+@app.command()
+def pause(run_folder: RunArgument, as_json: Json = False) -> None:
+    """Let a running mission stand still; a scan under way is finished."""
+    from mission.control import Pause
+
+    _order(run_folder, Pause(), as_json)
+
+
+@app.command()
+def resume(
+    run_folder: RunArgument,
+    auto: Annotated[bool, typer.Option("--auto-resume", help="Go on at once instead of waiting, paused.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Let a paused mission go on; take up one whose executive died, from its ledger: it waits, paused, to be told."""
+    from mission.control import Resume, is_live
+
+    if is_live(_existing(run_folder)):
+        _order(run_folder, Resume(), as_json)
+        return
+    from mission.resume import resume_run
+
+    _finish(lambda: resume_run(run_folder, _display(as_json), auto), as_json)
+
+
+@app.command()
+def fsck(run_folder: RunArgument, as_json: Json = False) -> None:
+    """Look whether a run folder is whole: 0 clean, 3 something is lost but the rest is usable, 1 unusable."""
+    from mission.fsck import check
+    from mission.store import RunFolder
+
+    found = check(RunFolder(_existing(run_folder)))
+    if as_json:
+        typer.echo(json.dumps(asdict(found)))
+    else:
+        for words in (*found.unusable, *found.lost):
+            typer.echo(f"LOST  {words}")
+        for words in found.left_over:
+            typer.echo(f"left over  {words}")
+        typer.echo(f"{found.scans} scans looked at")
+    raise typer.Exit(found.exit_code)
+
+
+@app.command()
+def abort(run_folder: RunArgument, as_json: Json = False) -> None:
+    """End a running mission safely: the base stops, a scan under way is given up, all data are kept."""
+    from mission.control import Abort
+
+    _order(run_folder, Abort(), as_json)
+
+
+@app.command()
+def answer(
+    run_folder: RunArgument,
+    question: Annotated[str, typer.Argument(help="The question's name, as `mission status` shows it.")],
+    word: Annotated[str, typer.Argument(help="One of its options.")],
+    as_json: Json = False,
+) -> None:
+    """Answer a question that a running mission asks."""
+    from mission.control import AnswerQuestion
+
+    _order(run_folder, AnswerQuestion(question, word), as_json)
+
+
+@app.command()
+def status(run_folder: RunArgument, as_json: Json = False) -> None:
+    """Tell what a mission is doing, and what it asks; of one that has ended, how."""
+    from mission.control import AskStatus, is_live
+    from mission.standing import standing_of_ended
+    from mission.store import RunFolder
+
+    if is_live(_existing(run_folder)):
+        _order(run_folder, AskStatus(), as_json)
+        return
+    with _refusals():
+        told = standing_of_ended(RunFolder(run_folder))
+    typer.echo(json.dumps(told.figures) if as_json else told.words)
 
 
 @app.command()
@@ -140,7 +225,7 @@ def evaluate(
 
 @app.command()
 def process(
-    folder: Annotated[Path, typer.Argument(help="A folder of scans: .3d with .pose, .ply, .pcd.")],
+    folder: Annotated[Path, typer.Argument(help="A folder of scans: E57, PLY, PCD, PTX, LAS, LAZ, XYZ, CSV, 3DTK.")],
     out: Out = Path("runs"),
     as_json: Json = False,
 ) -> None:
@@ -169,6 +254,39 @@ def doctor(
     raise typer.Exit(0 if all(finding.good for finding in findings) else 1)
 
 
+@app.command()
+def keys(folder: Keys = None, as_json: Json = False) -> None:
+    """Show this computer's public key, made on the first call, and whose keys may come in."""
+    from mission.keys import as_text, describe, keyring_in
+
+    with _refusals():
+        found = describe(keyring_in(folder))
+    typer.echo(json.dumps(found) if as_json else as_text(found))
+
+
+@app.command()
+def pair(
+    key: Annotated[str, typer.Argument(help="Public key, as `mission keys` prints it on the other computer.")],
+    role: Annotated[str, typer.Option(help="observer, operator or executive.")],
+    name: Annotated[str, typer.Option(help="A name for it.")],
+    folder: Keys = None,
+) -> None:
+    """Let another computer command the agents of this one."""
+    from mission.keys import keyring_in, pair
+
+    with _refusals():
+        typer.echo(pair(keyring_in(folder), key, role, name))
+
+
+@app.command()
+def unpair(name: Annotated[str, typer.Argument(help="The name it was paired by.")], folder: Keys = None) -> None:
+    """Let a computer in no more."""
+    from mission.keys import keyring_in, unpair
+
+    with _refusals():
+        typer.echo(unpair(keyring_in(folder), name))
+
+
 @agent.command("scanner")
 def agent_scanner(
     world: Annotated[Path, typer.Option(help="World file of the simulation.")],
@@ -180,13 +298,14 @@ def agent_scanner(
     seed: int = 0,
     speed: float = 1.0,
     scenario: Path | None = None,
+    keys: Keys = None,
 ) -> None:
     """The simulated scanner's agent."""
     from drivers.simulated.agents import run_scanner_agent
     from drivers.wire.endpoints import Endpoints
 
     with _refusals():
-        run_scanner_agent(world, truth, plant, Endpoints(control, bulk), profile, seed, speed, scenario)
+        run_scanner_agent(world, truth, plant, Endpoints(control, bulk), profile, seed, speed, scenario, keys)
 
 
 @agent.command("base")
@@ -199,13 +318,14 @@ def agent_base(
     seed: int = 0,
     speed: float = 1.0,
     scenario: Path | None = None,
+    keys: Keys = None,
 ) -> None:
     """The simulated base's agent."""
     from drivers.simulated.agents import run_base_agent
     from drivers.wire.endpoints import Endpoints
 
     with _refusals():
-        run_base_agent(world, truth, plant, Endpoints(control, telemetry=telemetry), seed, speed, scenario)
+        run_base_agent(world, truth, plant, Endpoints(control, telemetry=telemetry), seed, speed, scenario, keys)
 
 
 def main() -> None:
@@ -213,9 +333,19 @@ def main() -> None:
     app()
 
 
+def _order(run_folder: Path, body: Any, as_json: bool) -> None:
+    """Ask the executive of a run folder, and show what it acknowledged."""
+    from mission.control import order
+    from mission.standing import standing_of
+
+    with _refusals():
+        told = standing_of(order(_existing(run_folder), body))
+    typer.echo(json.dumps(told.figures) if as_json else told.words)
+
+
 def _finish(mission: Any, as_json: bool) -> None:
     """Run a mission, print its summary, and leave with the exit code of its outcome."""
-    from mission.run import UnreachableError
+    from mission.preflight import NoGoError, UnreachableError
 
     # Before the tick loop listens to the signals, and after it, both end the command the same way.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -225,6 +355,9 @@ def _finish(mission: Any, as_json: bool) -> None:
     except UnreachableError as error:
         typer.echo(f"unreachable: {error}", err=True)
         raise typer.Exit(UNREACHABLE) from error
+    except NoGoError as error:
+        typer.echo(f"no-go:\n{error}", err=True)
+        raise typer.Exit(NO_GO) from error
     except KeyboardInterrupt as interrupt:
         typer.echo("aborted", err=True)
         raise typer.Exit(EXIT_CODES["aborted"]) from interrupt

@@ -1,18 +1,23 @@
 """A site's configuration: YAML, checked whole, every error at once with its dotted key."""
 
 import difflib
+import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from behaviours.settings import Settings
-from drivers.wire.endpoints import Endpoints
+from drivers.wire.endpoints import Endpoints, is_local
+from drivers.wire.keys import is_public_key
 
 _MAX_BYTES = 256 * 1024
+_shown = reprlib.Repr()
+_shown.maxstring = _shown.maxother = 200
+_shown.maxlevel = 2
 
 
 class ConfigError(Exception):
@@ -22,7 +27,9 @@ class ConfigError(Exception):
 class SiteConfig(BaseModel):
     """One site: its name, the two agents, and the mission's settings.
 
-    ``clock_rate`` is mission seconds for one second of the wall; other than 1 only in a rehearsal.
+    ``clock_rate`` is mission seconds for one second of the wall; other than 1 only in a rehearsal. ``keys`` is the
+    folder of this computer's keys, by default the user's own; an agent with a ``server_key`` must prove to hold that
+    key, and one on another machine must have it.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -32,7 +39,26 @@ class SiteConfig(BaseModel):
     scanner: Endpoints
     base: Endpoints
     clock_rate: Annotated[float, Field(gt=0, le=1000)] = 1.0
+    keys: Path | None = None
     settings: Settings = Field(default_factory=Settings)
+
+    @field_validator("scanner", "base")
+    @classmethod
+    def _proves_who_it_is(cls, agent: Endpoints) -> Endpoints:
+        if agent.server_key and not is_public_key(agent.server_key):
+            raise ValueError(
+                "server_key is the 64 hexadecimal digits that `mission keys` prints on the agent's computer"
+            )
+        remote = [address for address in agent.addresses if not is_local(address)]
+        if remote and not agent.server_key:
+            raise ValueError(f"{remote[0]} is on another machine, so server_key is needed: docs/security.md")
+        return agent
+
+    @field_validator("keys")
+    @classmethod
+    def _from_anywhere(cls, folder: Path | None) -> Path | None:
+        # The configuration is kept in the run folder, and may be read again from another place.
+        return None if folder is None else folder.expanduser().absolute()
 
 
 def load_config(path: Path, overrides: Iterable[str] = ()) -> SiteConfig:
@@ -47,7 +73,7 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> SiteConfig:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: not YAML: {error}") from error
     return parse_config(data, str(path), overrides)
 
@@ -64,7 +90,11 @@ def parse_config(data: object, source: str, overrides: Iterable[str] = ()) -> Si
     except ValidationError as error:
         known_unknown = {key for key, _ in unknown}
         broken = [(".".join(map(str, item["loc"])), item["msg"], item.get("input")) for item in error.errors()]
-        lines = [f"{key}: {message}, found {value!r}" for key, message, value in broken if key not in known_unknown]
+        lines = [
+            f"{key}: {message}, found {_shown.repr(value)}"
+            for key, message, value in broken
+            if key not in known_unknown
+        ]
         raise ConfigError("\n".join(f"{source}: {line}" for line in [*lines, *_hints(unknown)])) from error
     if unknown:
         raise ConfigError("\n".join(f"{source}: {line}" for line in _hints(unknown)))

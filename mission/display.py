@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mission.executive import Executive, active_branch
+from mission.phase import Phase, State
 
 
 class Display:
@@ -45,7 +46,18 @@ class Display:
             self._live.stop()
 
     def _tell(self, newest: dict[str, Any]) -> None:
-        for kind in ("room_started", "registered", "assessed", "drive", "doors", "room_ended", "failure"):
+        for kind in (
+            "phase",
+            "asked",
+            "answered",
+            "room_started",
+            "registered",
+            "assessed",
+            "drive",
+            "doors",
+            "room_ended",
+            "failure",
+        ):
             event = newest.get(kind)
             if event is not None and event is not self._told.get(kind):
                 self._told[kind] = event
@@ -71,6 +83,7 @@ def panel(executive: Executive, newest: dict[str, Any]) -> Group:
     trouble = newest.get("failure")
     return Group(
         rooms,
+        Text(str(executive.course.state), style="bold"),
         Text(f"{words}  {feedback}", style="cyan"),
         Text(f"last trouble: {trouble['code']} {trouble['message']}" if trouble else "", style="yellow"),
     )
@@ -79,6 +92,13 @@ def panel(executive: Executive, newest: dict[str, Any]) -> Group:
 def line_of(event: dict[str, Any]) -> str:
     """One event in plain words."""
     match event["kind"]:
+        case "phase":
+            return str(State(Phase(event["after"]), event["code"], event["message"]))
+        case "asked":
+            options = " or ".join(f"'{option}'" for option in event["options"])
+            return f"{event['question_id']}: {event['text']} {options}: `mission answer RUN {event['question_id']} ...`"
+        case "answered":
+            return f"{event['question_id']}: '{event['answer']}', by {event['by']}"
         case "room_started":
             return f"room {event['room_id']} begins"
         case "registered":

@@ -3,9 +3,14 @@
 import ctypes
 import shutil
 import sys
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mission.finding import Finding
+
+if TYPE_CHECKING:
+    from mission.config import SiteConfig
 
 _LIBRARIES = {
     "libEGL.so.1": "libegl1",
@@ -16,15 +21,6 @@ _LIBRARIES = {
 _PACKAGES = ("open3d-cpu", "py-trees", "numpy", "scipy", "opencv-python-headless", "pyzmq", "numba", "pye57")
 _DISK_GB = 5.0
 _PATIENCE_S = 15.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing looked at: whether it is good, and what was found."""
-
-    what: str
-    good: bool
-    found: str
 
 
 def examine(site: Path | None = None) -> list[Finding]:
@@ -77,24 +73,21 @@ def _site(site: Path) -> list[Finding]:
         config = load_config(site)
     except ConfigError as error:
         return [Finding(str(site), False, str(error))]
-    return [Finding(str(site), True, f"site {config.site}"), *_agents(config.scanner, config.base)]
+    return [Finding(str(site), True, f"site {config.site}"), *_agents(config)]
 
 
-def _agents(scanner: object, base: object) -> list[Finding]:
+def _agents(config: "SiteConfig") -> list[Finding]:
     from drivers.wire.base_client import BaseClient
-    from drivers.wire.endpoints import Endpoints
     from drivers.wire.scanner_client import ScannerClient
-    from mission.run import wait_for
-    from perception.failure import Failure
+    from mission.keys import sockets_to
+    from mission.preflight import inspect, lease, meet
+    from perception.failure import FailureError
 
-    assert isinstance(scanner, Endpoints) and isinstance(base, Endpoints)
-    drives = BaseClient(base)
-    scanner_says, base_says = ScannerClient(scanner).info(), drives.info()
-    answers = {"scanner": wait_for(scanner_says, _PATIENCE_S), "base": wait_for(base_says, _PATIENCE_S)}
+    try:
+        scans = ScannerClient(config.scanner, sockets=sockets_to(config, config.scanner))
+        drives = BaseClient(config.base, sockets=sockets_to(config, config.base))
+    except FailureError as error:
+        return [Finding("keys", False, str(error))]
+    scanner, base, state = meet(scans, drives, _PATIENCE_S)
     drives.close()
-    return [
-        Finding(name, False, str(answer))
-        if isinstance(answer, Failure)
-        else Finding(name, True, f"{answer.model} {answer.serial}")
-        for name, answer in answers.items()
-    ]
+    return [*inspect(config, scanner, base, state, Path.cwd()), *lease(state)]

@@ -14,8 +14,10 @@ from typing import Any
 import yaml
 
 from drivers.wire.endpoints import Endpoints
+from mission.bulletin import Display
 from mission.config import ConfigError, SiteConfig, parse_config
-from mission.run import Display, Summary, UnreachableError, run_mission
+from mission.preflight import UnreachableError
+from mission.run import Summary, run_mission
 from mission.store import RunFolder, write_text
 
 _ANY_PORT = "tcp://127.0.0.1:*"
@@ -34,6 +36,7 @@ class Rehearsal:
     profile: str = "vz-400"
     speed: float = 10.0
     scenario: Path | None = None
+    attended: bool = False
     overrides: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
 
@@ -82,7 +85,7 @@ def configure(plan: Rehearsal, scanner: Endpoints, base: Endpoints) -> SiteConfi
         "scanner": {"control": scanner.control, "bulk": scanner.bulk},
         "base": {"control": base.control, "telemetry": base.telemetry},
         "clock_rate": plan.speed,
-        "settings": {"scanning": {"step_deg": plan.step_deg}},
+        "settings": {"scanning": {"step_deg": plan.step_deg}, "operator": {"ask": plan.attended}},
     }
     return parse_config(data, "mission simulate", plan.overrides)
 
@@ -104,18 +107,20 @@ def _check_simulation(plan: Rehearsal) -> None:
 @contextmanager
 def agents(plan: Rehearsal, world: Path, truth: Path) -> Iterator[tuple[Endpoints, Endpoints]]:
     """Both agents as processes of their own, ended on the way out whatever happens."""
-    common = [f"--world={world}", f"--truth={truth}", f"--seed={plan.seed}", f"--speed={plan.speed}"]
+    common = [f"--world={world}", f"--truth={truth.resolve()}", f"--seed={plan.seed}", f"--speed={plan.speed}"]
     if plan.scenario is not None:
         common.append(f"--scenario={plan.scenario}")
     with _process("base", [*common, f"--plant={_ANY_PORT}", f"--telemetry={_ANY_PORT}"], truth) as base:
         own = [f"--plant={base['plant']}", f"--bulk={_ANY_PORT}", f"--profile={plan.profile}"]
         with _process("scanner", [*common, *own], truth) as scanner:
+            # For whoever takes up this mission, should its executive be killed.
+            write_text(truth / "agents.json", json.dumps([base["pid"], scanner["pid"]]))
             yield _endpoints(scanner), _endpoints(base)
 
 
 @contextmanager
-def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict[str, str]]:
-    """An agent that has said where it listens."""
+def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict[str, Any]]:
+    """An agent that has said where it listens; with its ``pid``."""
     command = [sys.executable, "-m", "mission", "agent", name, f"--control={_ANY_PORT}", *arguments]
     log = log_folder / f"{name}.log"
     with (
@@ -127,7 +132,7 @@ def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict
             line = _first_line(process)
             if not line:
                 raise UnreachableError(f"the {name}'s agent did not come up: {log.read_text()[-2000:]}")
-            yield json.loads(line)
+            yield json.loads(line) | {"pid": process.pid}
         finally:
             process.terminate()
             try:

@@ -1,36 +1,33 @@
 """One mission from a configuration to its report: connect, tick to the end, write down what came of it."""
 
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, TypeVar
+from typing import Any
 
-from behaviours.services import Services
-from drivers.interfaces import Base, Scanner
-from drivers.jobs import Done, Failed, Job
+from behaviours.services import Journal, Services
+from drivers.interfaces import Lease
 from drivers.wire.base_client import BaseClient
 from drivers.wire.scanner_client import ScannerClient
+from mission.bulletin import Bulletin, Display
+from mission.chronicle import Chronicle, waiting_for_room
 from mission.clock import MissionClock
 from mission.config import SiteConfig, dump_config
+from mission.control import Console, serving
 from mission.executive import Executive
-from mission.journal import JsonLines
-from mission.state import describe
+from mission.journal import DurableJournal, JsonLines
+from mission.keys import sockets_to
+from mission.ledger import Ledger
+from mission.operator import Desk, Word, signals
+from mission.ownership import ownership
+from mission.phase import Course, State
+from mission.preflight import UnreachableError, preflight
+from mission.remembering import heeding, remembering
 from mission.store import RunFolder, write_text
 from mission.worker import PerceptionWorker
-from perception.failure import Failure
+from perception.failure import FailureError
 from trees.building import create_root
-
-T = TypeVar("T")
-
-_PREFLIGHT_S = 30.0
-_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-class UnreachableError(Exception):
-    """An agent did not answer before the mission began."""
 
 
 @dataclass(frozen=True)
@@ -45,42 +42,70 @@ class Summary:
     simulated_s: float
 
 
-Display = Callable[[Executive, dict[str, Any]], None]
-"""Shows progress after each tick: the executive, and the newest event of each kind."""
-
-
-def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None = None) -> Summary:
+def run_mission(
+    config: SiteConfig, folder: RunFolder, display: Display | None = None, go_on_at_once: bool = False
+) -> Summary:
     """Run a mission with agents that are up, and leave a run folder with its state.
+
+    A folder whose mission was interrupted is taken up where that one was: paused, until the operator says to go on.
+
+    Args:
+        go_on_at_once: whether an interrupted mission goes on without being told to.
 
     Raises:
         UnreachableError: when an agent does not answer; nothing has moved then.
+        NoGoError: when anything else speaks against a start.
+        FailureError: ``LEDGER_IN_USE`` when the mission is being run already, ``LEDGER_BAD``.
     """
-    write_text(folder.config, dump_config(config))
-    clock = MissionClock(config.clock_rate)
     newest: dict[str, Any] = {}
     began, started = time.monotonic(), _utc()
     with ExitStack() as stack:
-        journal = JsonLines(folder.events, clock, watch=lambda event: newest.update({event["kind"]: event}))
-        stack.callback(journal.close)
-        scanner = ScannerClient(config.scanner)
-        base = BaseClient(config.base)
+        ledger = stack.enter_context(closing(Ledger(folder.ledger)))
+        write_text(folder.config, dump_config(config))
+        clock = MissionClock(config.clock_rate, begin=ledger.newest_time())
+        chronicle = Chronicle(ledger, clock)
+        lines = JsonLines(folder.events, clock, watch=lambda event: newest.update({event["kind"]: event}))
+        stack.callback(lines.close)
+        journal = DurableJournal(ledger, lines, clock)
+        stack.callback(journal.commit)
+        word, desk = Word(), Desk(clock, journal, config.settings.operator.ask)
+        if chronicle.telling and not go_on_at_once:
+            word.pause()
+        console = Console(word, desk)
+        stack.enter_context(serving(console, folder.path))
+        scanner = ScannerClient(config.scanner, sockets=sockets_to(config, config.scanner))
+        base = BaseClient(config.base, sockets=sockets_to(config, config.base))
         stack.callback(base.close)
-        preflight(scanner, base, journal)
+        preflight(config, scanner, base, journal, folder.path)
+        try:
+            lease = stack.enter_context(ownership(base))
+        except FailureError as error:
+            raise UnreachableError(f"base: {error}") from error
+        know_the_base(ledger, lease)
         worker = PerceptionWorker(folder.path, journal)
         stack.callback(worker.close)
         worker.submit("warm_up")
-        command = stack.enter_context(operator_command())
-        services = Services(scanner, base, worker, clock, journal, folder, config.settings)
-        root = create_root(config.settings)
+        stack.enter_context(signals(word))
+        services = Services(scanner, base, worker, clock, journal, folder, config.settings, desk, owner=lease.owner)
+        services = remembering(services, chronicle)
+        bulletin = Bulletin(folder, console, desk, newest, clock.now, display)
+        stack.callback(bulletin.close)
 
-        def after_tick(ticks: int) -> None:
-            if executive.changed:
-                folder.write_state(describe(executive.survey))
-            if display is not None:
-                display(executive, newest)
+        def after_tick(tick: int) -> None:
+            commit(journal)
+            bulletin.tell(executive, tick)
 
-        executive = Executive(root, services, clock.sleep, command, after_tick)
-        journal.record("mission_started", site=config.site)
+        executive = Executive(
+            create_root(config.settings),
+            services,
+            clock,
+            heeding(word, chronicle),
+            after_tick,
+            Course(lambda before, after: record_phase(journal, before, after)),
+            f"`mission resume {folder.path}` goes on, Ctrl-C again aborts",
+            chronicle.tell,
+        )
+        journal.record("mission_resumed" if chronicle.telling else "mission_started", site=config.site)
         outcome = executive.run()
         ended = {
             "outcome": outcome,
@@ -89,10 +114,36 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
             "wall_s": round(time.monotonic() - began, 2),
             "simulated_s": round(clock.now(), 1),
         }
-        journal.record("mission_ended", outcome=outcome)
-        state = describe(executive.survey) | ended
+        journal.record("mission_ended", outcome=outcome, tick_ms=executive.tick_ms())
+        state = bulletin.state(executive) | ended
         folder.write_state(state)
     return summarise(folder, state)
+
+
+def know_the_base(ledger: Ledger, lease: Lease) -> None:
+    """An interrupted mission knows where its robot stands by the base's odometry, which begins anew with its agent.
+
+    Raises:
+        UnreachableError: when the base's agent is another than the mission began with.
+    """
+    known = ledger.about("base_epoch")
+    if known is not None and known != str(lease.epoch):
+        raise UnreachableError(
+            "base: its agent was started anew since this mission was interrupted, so nobody knows where the robot "
+            "stands; what was scanned is kept, and `mission report` shows it"
+        )
+    ledger.note("base_epoch", str(lease.epoch))
+
+
+def commit(journal: DurableJournal) -> None:
+    """Bring the events of a tick to the disk; a full disk gets them later, when there is room again."""
+    with waiting_for_room():
+        journal.commit()
+
+
+def record_phase(journal: Journal, before: State, after: State) -> None:
+    """One row for each change of phase."""
+    journal.record("phase", before=before.phase.value, after=after.phase.value, code=after.code, message=after.message)
 
 
 def summarise(folder: RunFolder, state: dict[str, Any]) -> Summary:
@@ -105,50 +156,6 @@ def summarise(folder: RunFolder, state: dict[str, Any]) -> Summary:
         wall_s=state["wall_s"],
         simulated_s=state["simulated_s"],
     )
-
-
-def preflight(scanner: Scanner, base: Base, journal: JsonLines) -> None:
-    """Ask both agents who they are and wait for the base's telemetry; all must be there before anything moves."""
-    # Both are asked before either is waited for: two silent agents cost no more patience than one.
-    scanner_says, base_says = scanner.info(), base.info()
-    answers = {"scanner": wait_for(scanner_says, _PREFLIGHT_S), "base": wait_for(base_says, _PREFLIGHT_S)}
-    silent = [f"{name}: {answer}" for name, answer in answers.items() if isinstance(answer, Failure)]
-    if silent:
-        raise UnreachableError("; ".join(silent))
-    until = time.monotonic() + _PREFLIGHT_S
-    while base.state() is None:
-        if time.monotonic() > until:
-            raise UnreachableError(f"base: no telemetry within {_PREFLIGHT_S:.0f} s")
-        time.sleep(0.02)
-    for name, answer in answers.items():
-        assert not isinstance(answer, Failure)
-        journal.record("agent", name=name, model=answer.model, serial=answer.serial, protocol=answer.protocol)
-
-
-def wait_for(job: Job[T], seconds: float) -> T | Failure:
-    """Block until a job has ended; only for use outside of the tick."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        outcome = job.poll()
-        if isinstance(outcome, Done):
-            return outcome.value
-        if isinstance(outcome, Failed):
-            return outcome.failure
-        time.sleep(0.02)
-    job.cancel()
-    return Failure("AGENT_UNREACHABLE", f"no answer within {seconds:.0f} s")
-
-
-@contextmanager
-def operator_command() -> Iterator[Callable[[], str]]:
-    """The operator's word from the signals: Ctrl-C or SIGTERM ends the mission safely, whatever it is doing."""
-    ordered: list[int] = []
-    before = {number: signal.signal(number, lambda got, _: ordered.append(got)) for number in _STOP_SIGNALS}
-    try:
-        yield lambda: "abort" if ordered else "run"
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _room_summary(room: dict[str, Any]) -> dict[str, Any]:

@@ -71,6 +71,8 @@ def _scan(scan: ScanRecord) -> dict[str, Any]:
             "scanner_height": scan.alignment.scanner_height,
             "ceiling_z": scan.alignment.ceiling_z,
         },
+        "residual": scan.residual,
+        "moved_m": scan.moved_m,
         "registration": {
             "fitness": found.fitness,
             "rmse": found.rmse,

@@ -3,7 +3,6 @@
 from py_trees.behaviour import Behaviour
 
 from behaviours.conditions import MapFrameIsMade, NoScanYet, RoomIsEnded, ScanIsSetAside
-from behaviours.driving import DriveToTarget
 from behaviours.mapping import (
     AnchorScan,
     BuildMap,
@@ -19,10 +18,11 @@ from behaviours.settings import Settings
 from behaviours.viewing import AssessRoom, ChooseView
 from trees import recovery
 from trees.compose import first_that_works, if_possible, steps
+from trees.errands import drive, enough_charge
 
 
 def cycle(settings: Settings) -> Behaviour:
-    return steps("cycle", observation(settings), next_view(settings))
+    return steps("cycle", observation(settings), enough_charge(), next_view(settings))
 
 
 def observation(settings: Settings) -> Behaviour:
@@ -95,7 +95,7 @@ def next_view(settings: Settings) -> Behaviour:
             "view",
             ChooseView("choose the next best view"),
             AssessRoom("judge λ and μ"),
-            first_that_works("go on", RoomIsEnded("room ended?"), DriveToTarget("drive to the view")),
+            first_that_works("go on", RoomIsEnded("room ended?"), drive("drive to the view")),
         ),
         recovery=recovery.next_best_instead(),
         attempts=settings.driving.view_attempts,

@@ -3,11 +3,12 @@
 from py_trees.behaviour import Behaviour
 
 from behaviours.conditions import FailureIs
-from behaviours.driving import DriveToTarget, TargetHalfWayBack, TargetNearby
+from behaviours.driving import TargetHalfWayBack, TargetNearby
 from behaviours.mapping import SetScanAside
 from behaviours.rooms import DeferDoor
 from behaviours.viewing import AvoidView
 from trees.compose import steps
+from trees.errands import drive
 
 
 def again_if_the_scan_failed() -> Behaviour:
@@ -21,7 +22,7 @@ def move_nearby() -> Behaviour:
         "move nearby",
         FailureIs("scan still fails?", "SCAN_", "ALIGN_", "XFER_", "TIMEOUT"),
         TargetNearby("pick a spot nearby"),
-        DriveToTarget("drive nearby"),
+        drive("drive nearby"),
     )
 
 
@@ -32,7 +33,7 @@ def bridge() -> Behaviour:
         FailureIs("registration refused?", "REG_"),
         SetScanAside("set the scan aside"),
         TargetHalfWayBack("pick the half-way spot"),
-        DriveToTarget("drive half-way back"),
+        drive("drive half-way back"),
     )
 
 

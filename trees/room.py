@@ -2,20 +2,41 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import RoomIsEnded, RoomIsOpen
-from behaviours.driving import DriveToTarget
+from behaviours.adjusting import MAPS_BEAR_M, OptimisePoses
+from behaviours.asking import Ask
+from behaviours.conditions import FailureIs, LoopIsClosed, RoomIsEnded, RoomIsOpen
+from behaviours.recover import Recover
 from behaviours.rooms import BeginRoom, ChooseSuspect, FindDoors, GiveUpRoom
 from behaviours.settings import Settings
 from trees.compose import first_that_works, if_possible, steps, until_failure
 from trees.cycle import cycle, observation
+from trees.errands import drive
+
+HELP_WITH = ("REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "ESTOP", "LEAF_EXCEPTION")
+"""Codes of what a person at the robot may be able to put right."""
 
 
 def room(settings: Settings) -> Behaviour:
     return steps(
         "room",
         BeginRoom("begin the room"),
-        first_that_works("scan the room", cycles(settings), GiveUpRoom("give the room up")),
+        first_that_works("scan the room", persistent_cycles(settings), GiveUpRoom("give the room up")),
         first_that_works("look for doors", find_doors(settings), GiveUpRoom("its doors are not known")),
+        if_possible("loop", close_loop()),
+    )
+
+
+def persistent_cycles(settings: Settings) -> Behaviour:
+    """As :func:`cycles`; before a room is given up the operator may put right what is in the way."""
+    return Recover(
+        "cycles or help",
+        primary=cycles(settings),
+        recovery=steps(
+            "ask for help",
+            FailureIs("can a person help?", *HELP_WITH),
+            Ask("ask about the room", "Room {room} cannot be finished", "Put right what you can, at the robot too."),
+        ),
+        attempts=settings.operator.rounds,
     )
 
 
@@ -29,11 +50,16 @@ def cycles(settings: Settings) -> Behaviour:
     )
 
 
+def close_loop() -> Behaviour:
+    """Where a door leads back to known rooms, the poses on the way round must meet."""
+    return steps("close the loop", LoopIsClosed("loop closed?"), OptimisePoses("adjust the poses", MAPS_BEAR_M))
+
+
 def find_doors(settings: Settings) -> Behaviour:
     """The room's doors; an opening that no scan saw well enough is looked at from nearby, once."""
     closer_look = steps(
         "closer look",
-        DriveToTarget("drive before the opening"),
+        drive("drive before the opening"),
         observation(settings),
         FindDoors("find open doors again"),
     )

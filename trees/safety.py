@@ -1,21 +1,38 @@
-"""What stands above the work at every tick: the robot's health and the operator's word."""
+"""What stands above the work at every tick: the operator's word and the robot's health."""
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import Condition
-from behaviours.safety import AbortOrdered, BaseIsLost, EmergencyStopped, EndMission
+from behaviours.safety import (
+    AbortOrdered,
+    EndMission,
+    Hold,
+    HoldForBattery,
+    HoldForDisk,
+    HoldForEmergencyStop,
+    HoldForLease,
+    HoldForLostBase,
+    Paused,
+)
 from trees.compose import most_important, steps
 
 
-def safety() -> Behaviour:
-    """Fails, and so lets the work go on, while there is nothing to stop for."""
+def abort() -> Behaviour:
+    """Fails, and so lets all else go on, until the operator wants the end."""
+    return steps("abort", AbortOrdered("abort ordered?"), EndMission("end the mission: aborted", "aborted"))
+
+
+def watch() -> Behaviour:
+    """Fails while there is nothing to stand still for; runs while there is; ends the mission where that lasts."""
     return most_important(
-        "safety",
-        _ends_it("emergency stop", EmergencyStopped("hardware stop pressed?"), "safety_stop"),
-        _ends_it("base lost", BaseIsLost("base silent?"), "safety_stop"),
-        _ends_it("abort", AbortOrdered("abort ordered?"), "aborted"),
+        "watch",
+        _held("emergency stop", HoldForEmergencyStop("hold while stopped")),
+        _held("base lost", HoldForLostBase("hold while the base is lost")),
+        _held("base not ours", HoldForLease("hold without the lease")),
+        _held("disk full", HoldForDisk("hold for room on the disk")),
+        _held("battery critical", HoldForBattery("hold for charge")),
+        Paused("pause ordered?"),
     )
 
 
-def _ends_it(name: str, condition: Condition, outcome: str) -> Behaviour:
-    return steps(name, condition, EndMission(f"end the mission: {outcome}", outcome))
+def _held(name: str, hold: Hold) -> Behaviour:
+    return steps(name, hold, EndMission(f"end the mission: {name}", "safety_stop"))

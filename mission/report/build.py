@@ -9,7 +9,8 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
-from mission.report import pictures, tables
+from mission.report import pictures, tables, timing, watch
+from mission.report.recorded import recorded
 from mission.report.run import Run, read_run
 
 Report = dict[str, Any]
@@ -42,13 +43,17 @@ def collect(run: Run) -> Report:
         "evaluation": dict(run.evaluation) if run.evaluation else None,
         "rooms": tables.rooms(run),
         "left_out": tables.left_out(run),
+        "recorded": recorded(run),
         "registrations": tables.registrations(run),
         "registration_limits": tables.LIMITS,
+        "pose_graph": tables.pose_graph(run),
         "doors": tables.doors(run),
         "openings": tables.openings(run),
-        "times": tables.times(run),
+        "times": timing.times(run),
         "failures": tables.failures(run),
         "recoveries": tables.recoveries(run),
+        "questions": watch.questions(run),
+        "interruptions": watch.interruptions(run),
     }
 
 
@@ -67,6 +72,7 @@ def render(report: Report, drawn: list[pictures.Picture]) -> str:
         "millimetres": lambda value: number(value, 1, scale=1e3),
         "degrees": lambda value: number(value, 3, scale=180 / math.pi),
         "duration": duration,
+        "precise": lambda value: duration(value) if value is None or value >= 60 else f"{value:.2f}\u202fs",
         "embed": embed,
     }
     environment.filters.update(filters)

@@ -1,9 +1,10 @@
 """The figures of the report, computed from the run alone and ready for JSON."""
 
-from collections import Counter, defaultdict
+from collections import Counter
 from typing import Any
 
 from mission.report.run import Record, Run
+from mission.report.timing import status
 
 Row = dict[str, Any]
 
@@ -41,10 +42,13 @@ _RECOVERIES = {
     "register the scan set aside": "a scan that had been set aside found its place",
     "next best instead": "a view that could not be reached gave way to the next best",
     "another door": "a door that could not be passed was left for later",
+    "order it anew": "a drive that was broken off from outside was ordered anew",
+    "ask for help": "the operator was asked about a room that could not be finished",
+    "ask for open doors": "the operator was asked to open doors that could not be passed",
+    "charge": "the robot went home to charge, and back to work",
 }
 """Names of the tree's recovery branches."""
 
-_TAKING = "take the scan"
 _ORDERLY_ENDS = {"NO_DOOR_LEFT"}
 """Codes by which the tree ends a loop as it should; nothing went wrong there."""
 
@@ -172,6 +176,7 @@ def _registration(scan: Record) -> Row:
     figures = scan.get("registration") or {}
     keys = ("method", "fitness", "rmse", "overlap", "min_eigenvalue", "correction_m", "correction_rad")
     row: Row = {"scan": scan["scan_id"], "room": scan.get("room_id")} | {key: figures.get(key) for key in keys}
+    row |= {key: scan.get(key) for key in ("residual", "moved_m")}
     fitness, overlap = row["fitness"], row["overlap"]
     row["agreement"] = fitness / overlap if fitness is not None and overlap else None
     if row["method"] == "anchor":
@@ -179,6 +184,18 @@ def _registration(scan: Record) -> Row:
     verdicts = {key: verdict(key, row[key]) for key in LIMITS if row[key] is not None}
     worst = next((word for word in ("fail", "warn", "pass") if word in verdicts.values()), "")
     return row | {"verdicts": verdicts, "verdict": worst}
+
+
+def pose_graph(run: Run) -> Row | None:
+    """What came of reconsidering all poses together, the first time to the last; None if it never happened."""
+    events = run.events_of("poses_optimised")
+    if not events:
+        return None
+    last = events[-1]
+    keys = ("compared", "refused", "disbelieved", "rms_after", "loops", "taken", "reason")
+    moved = [float(scan["moved_m"]) for scan in run.scans if scan.get("moved_m") is not None]
+    whole = {"rms_before": events[0].get("rms_before"), "moved_m": max(moved, default=0.0), "times": len(events)}
+    return {key: last.get(key) for key in keys} | whole
 
 
 def verdict(figure: str, value: float) -> str:
@@ -240,44 +257,6 @@ def left_out(run: Run) -> list[Row]:
     return unfinished + unentered
 
 
-def times(run: Run) -> Row:
-    """Where the time went, seconds: scanning and driving by the mission's clock, thinking (of the machine) by stage."""
-    stages: dict[str, list[float]] = defaultdict(list)
-    for event in run.events_of("stage"):
-        stages[str(event.get("name"))].append(float(event.get("seconds") or 0.0))
-    rows = [
-        {"stage": words(name), "count": len(s), "seconds": sum(s), "mean": sum(s) / len(s), "worst": max(s)}
-        for name, s in stages.items()
-    ]
-    return {
-        "scanning": _running_seconds(run, _TAKING),
-        "driving": _sum_seconds(run.events_of("drive")),
-        "thinking": sum(row["seconds"] for row in rows),
-        "stages": sorted(rows, key=lambda row: -row["seconds"]),
-        "simulated_s": run.state.get("simulated_s"),
-        "wall_s": run.state.get("wall_s"),
-    }
-
-
-def _sum_seconds(events: list[Record]) -> float:
-    return sum(float(event.get("seconds") or 0.0) for event in events)
-
-
-def _running_seconds(run: Run, node: str) -> float:
-    """Mission seconds for which a node of the tree was running."""
-    total, since = 0.0, None
-    for event in run.events_of("node"):
-        if event.get("node") == node:
-            now, running = float(event.get("t") or 0.0), _status(event) == "RUNNING"
-            total += now - since if since is not None else 0.0
-            since = now if running else None
-    return total
-
-
-def _status(event: Record) -> str:
-    return str(event.get("after") or "").upper()
-
-
 def failures(run: Run) -> list[Row]:
     """Every failure in its order."""
     return [
@@ -289,7 +268,8 @@ def failures(run: Run) -> list[Row]:
 
 def recoveries(run: Run) -> list[Row]:
     """Recovery branches of the tree that ran: how often, and how often they did what they are for."""
-    ended = [(str(e.get("node")), _status(e)) for e in run.events_of("node") if str(e.get("node")) in _RECOVERIES]
+    nodes = [event for event in run.events_of("node") if str(event.get("node")) in _RECOVERIES]
+    ended = [(str(event.get("node")), status(event)) for event in nodes]
     tried = Counter(name for name, status in ended if status in ("SUCCESS", "FAILURE"))
     helped = Counter(name for name, status in ended if status == "SUCCESS")
     return [{"branch": _RECOVERIES[name], "tried": n, "helped": helped[name]} for name, n in tried.most_common()]

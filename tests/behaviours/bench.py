@@ -49,10 +49,21 @@ class Bench:
         self.events: list[dict[str, Any]] = []
         self.base_state: BaseState | None = standing()
         scanner = SimpleNamespace(take=self._call("take"), fetch=self._call("fetch"))
-        base = SimpleNamespace(drive=self._call("drive"), stop=self._call("stop"), state=lambda: self.base_state)
+        self.beats: list[tuple[int, bool]] = []
+        base = SimpleNamespace(
+            acquire=self._call("acquire"),
+            beat=lambda tick, may_move: self.beats.append((tick, may_move)),
+            release=self._call("release"),
+            drive=self._call("drive"),
+            stop=self._call("stop"),
+            state=lambda: self.base_state,
+        )
         perception = SimpleNamespace(submit=self._call("submit"))
         journal = SimpleNamespace(record=lambda kind, /, **figures: self.events.append({"kind": kind, **figures}))
-        files = SimpleNamespace(scan_file=lambda scan_id: f"{scan_id}.scan", robot_map=lambda map_id: map_id)
+        self.free_gb = 100.0
+        files = SimpleNamespace(
+            scan_file=lambda scan_id: f"{scan_id}.scan", robot_map=lambda map_id: map_id, free_gb=lambda: self.free_gb
+        )
         self.services = Services(scanner, base, perception, self.clock, journal, files)
 
     def set_up(self, *leaves: Behaviour) -> None:

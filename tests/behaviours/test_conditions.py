@@ -12,7 +12,7 @@ from behaviours.keys import Key
 from behaviours.survey import Survey
 from perception.building import Building
 from perception.failure import Failure
-from tests.behaviours.bench import Bench, current, get, put, scan, standing, survey_of, tick
+from tests.behaviours.bench import Bench, current, get, put, scan, survey_of, tick
 
 YES, NO = Status.SUCCESS, Status.FAILURE
 
@@ -80,21 +80,3 @@ def test_a_room_is_either_open_or_ended(status: str) -> None:
 def test_an_abort_is_ordered_by_that_very_word(command: str, expected: Status) -> None:
     put(COMMAND=command)
     assert answer(safety.AbortOrdered("abort?")) == expected
-
-
-@pytest.mark.parametrize("pressed", [True, False])
-def test_the_emergency_stop_is_what_telemetry_says(pressed: bool) -> None:
-    put(BASE=standing(emergency_stop=pressed))
-    assert answer(safety.EmergencyStopped("pressed?")) == (YES if pressed else NO)
-
-
-@pytest.mark.parametrize(("age", "expected"), [(0.0, NO), (10.0, NO), (10.1, YES)])
-def test_a_base_is_lost_when_silent_for_longer_than_the_setting(age: float, expected: Status) -> None:
-    put(BASE=standing(age=age))
-    assert answer(safety.BaseIsLost("silent?")) == expected
-
-
-def test_before_the_first_telemetry_nothing_is_pressed_and_nothing_lost() -> None:
-    put(BASE=None)
-    assert answer(safety.EmergencyStopped("pressed?")) == NO
-    assert answer(safety.BaseIsLost("silent?")) == NO

@@ -74,3 +74,31 @@ def test_changes_leave_the_old_survey_as_it_was() -> None:
     before = dict(vars(survey))
     survey.with_scan(scan("S02")).with_drive(((1.0, 0.0, 0.0),), 1.0).next_goal()
     assert all(vars(survey)[name] is value for name, value in before.items())
+
+
+def test_an_adjusted_survey_has_the_new_poses_with_the_base_under_them_and_remembers_the_old() -> None:
+    """A turn about the map's origin and a shift: scanner and base go along as one body."""
+    survey = survey_of(scan("S01"), scan("S02", 2.0, 1.0))
+    correction = transforms.planar(0.003, -0.004, 0.001)
+    poses = {
+        "S01": survey.scans[0].map_from_scanner,
+        "S02": correction @ survey.scans[1].map_from_scanner,
+    }
+    first, second = survey.adjusted(poses, {"S02": 0.002}).scans
+    assert np.allclose(first.map_from_base, survey.scans[0].map_from_base)
+    assert (first.residual, first.moved_m) == (None, 0.0)
+    assert np.allclose(second.map_from_base, correction @ survey.scans[1].map_from_base)
+    assert second.residual == 0.002
+    assert second.moved_m == transforms.difference(second.registration.map_from_scanner, poses["S02"])[0] > 0.003
+
+
+def test_doors_between_known_rooms_close_loops_when_they_are_more_than_it_takes_to_join_them() -> None:
+    building, _ = Building().add_room((0.0, 0.0))
+    assert (Survey().loops, Survey(building=building).loops) == (0, 0)
+    doors = [Door(3.0, y, (1.0, 0.0), 0.9, 0.9, 2.1, 0.9) for y in (-2.0, 2.0)]
+    building = building.observe_doors("R1", doors)
+    assert Survey(building=building).loops == 0
+    building, _ = building.add_room((4.0, -2.0), "D1")
+    assert Survey(building=building).loops == 0
+    beyond = [Door(3.2, y, (-1.0, 0.0), 0.9, 0.9, 2.1, 0.9) for y in (-2.0, 2.0)]
+    assert Survey(building=building.observe_doors("R2", beyond)).loops == 1

@@ -11,7 +11,8 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from mission import cli, rehearsal
-from mission.run import Summary, UnreachableError
+from mission.preflight import NoGoError, UnreachableError
+from mission.run import Summary
 from tests.mission.fake_run import write_run
 
 SITE = {
@@ -176,7 +177,11 @@ def raising(error: BaseException) -> Callable[..., Summary]:
 
 @pytest.mark.parametrize(
     ("error", "code", "said"),
-    [(UnreachableError("the base's agent did not come up"), 6, "unreachable: "), (KeyboardInterrupt(), 4, "aborted")],
+    [
+        (UnreachableError("the base's agent did not come up"), 6, "unreachable: "),
+        (NoGoError("battery: 12%"), 7, "no-go:"),
+        (KeyboardInterrupt(), 4, "aborted"),
+    ],
 )
 def test_a_mission_that_never_began_has_its_own_code(
     error: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch

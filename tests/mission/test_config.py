@@ -67,7 +67,7 @@ def test_an_unknown_key_is_refused_with_what_was_meant(extra: dict[str, Any], ke
 
 def test_an_unknown_key_like_nothing_else_is_refused_with_what_is_known() -> None:
     (line,) = refusal({**WHOLE, "xyzzy": 1})
-    assert "known here: version, site, scanner, base, clock_rate, settings" in line
+    assert "known here: version, site, scanner, base, clock_rate, keys, settings" in line
 
 
 def test_unknown_keys_and_broken_values_are_told_together() -> None:

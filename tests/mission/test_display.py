@@ -12,6 +12,7 @@ from rich.console import Console
 
 from behaviours.keys import Key
 from behaviours.survey import Cycle, Survey
+from mission.clock import MissionClock
 from mission.display import Display, line_of, panel
 from mission.executive import Executive
 from perception.findings import LabelCounts
@@ -26,7 +27,7 @@ def executive() -> Executive:
     """In the middle of a mission: one room done, the next one's leaf running."""
     leaf = Running("take the scan")
     root = Sequence("mission", memory=True, children=[Sequence("work", memory=True, children=[leaf])])
-    executive = Executive(root, Bench().services, lambda _: None)
+    executive = Executive(root, Bench().services, MissionClock())
     survey = Survey()
     building, first = survey.building.add_room((0.0, 0.0))
     building = building.end_room(first, "complete", "lambda_mu")
@@ -51,6 +52,7 @@ def test_the_panel_shows_rooms_with_their_figures_and_the_active_branch(executiv
     assert done == ["R1", "1", "80%", "0.031", "0.017", "lambda_mu"]
     assert begun[:5] == ["R2", "0", "–", "–", "–"]
     assert "take the scan  12 s" in text
+    assert "PREFLIGHT" in text
 
 
 def test_the_panel_shows_the_last_trouble(executive: Executive) -> None:
@@ -98,6 +100,11 @@ def test_whoever_wants_json_gets_no_display() -> None:
         ({"kind": "doors", "room_id": "R1", "found": [{}, {}]}, "R1: 2 open doors"),
         ({"kind": "room_ended", "room_id": "R1", "reason": "no_candidate"}, "room R1 ended: no_candidate"),
         ({"kind": "failure", "code": "ESTOP", "message": "pressed"}, "ESTOP: pressed"),
+        ({"kind": "phase", "after": "hold", "code": "ESTOP", "message": "release it"}, "HOLD(ESTOP): release it"),
+        ({"kind": "asked", "question_id": "Q001", "text": "Again?", "options": ["again", "go on"]},
+         "Q001: Again? 'again' or 'go on': `mission answer RUN Q001 ...`"),
+        ({"kind": "answered", "question_id": "Q001", "answer": "go on", "by": "default"},
+         "Q001: 'go on', by default"),
         ({"kind": "something new"}, "something new"),
     ],
 )  # fmt: skip

@@ -56,10 +56,10 @@ def test_a_full_disk_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_agents_that_cannot_be_reached_are_found_by_name(tmp_path: Path) -> None:
     site = tmp_path / "site.yaml"
-    nowhere = {"control": "nowhere", "bulk": "nowhere"}
-    base = {"control": "nowhere", "telemetry": "tcp://127.0.0.1:1"}
+    nowhere = {"control": "tcp://127.0.0.1:nowhere", "bulk": "tcp://127.0.0.1:nowhere"}
+    base = {"control": "tcp://127.0.0.1:nowhere", "telemetry": "tcp://127.0.0.1:1"}
     site.write_text(yaml.safe_dump({"site": "lab", "scanner": nowhere, "base": base}))
-    *_, config, scanner, drives = doctor.examine(site)
-    assert config.good
-    assert [(found.what, found.good) for found in (scanner, drives)] == [("scanner", False), ("base", False)]
-    assert "nowhere" in scanner.found
+    found = {finding.what: finding for finding in doctor.examine(site)}
+    assert found[str(site)].good
+    assert not any(found[what].good for what in ("scanner", "base", "base telemetry"))
+    assert "nowhere" in found["scanner"].found

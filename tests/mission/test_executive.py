@@ -11,9 +11,12 @@ from py_trees.composites import Sequence
 
 from behaviours.keys import Key
 from behaviours.safety import EndMission
-from behaviours.survey import Survey
+from behaviours.survey import Survey, Target
+from mission.clock import MissionClock
 from mission.executive import TICK, Executive, active_branch, verdict
+from mission.phase import Phase, State
 from perception.building import Building
+from perception.failure import Failure
 from perception.findings import Door
 from tests.behaviours.bench import Bench, HandJob
 
@@ -53,9 +56,13 @@ class Ending(Behaviour):
         return Status.SUCCESS
 
 
+def mission_clock(bench: Bench) -> MissionClock:
+    return MissionClock(source=bench.clock.now, wait=bench.clock.sleep)
+
+
 def executed(root: Behaviour, bench: Bench | None = None, **kwargs: object) -> tuple[ObedientBench, str]:
     bench = bench or ObedientBench()
-    return bench, Executive(root, bench.services, bench.clock.sleep, **kwargs).run()  # type: ignore[arg-type, return-value]
+    return bench, Executive(root, bench.services, mission_clock(bench), **kwargs).run()  # type: ignore[arg-type, return-value]
 
 
 def rooms(*statuses: str) -> Survey:
@@ -185,6 +192,59 @@ def test_the_command_is_asked_for_before_each_tick() -> None:
     assert root.commands == ["run", "run", "abort"]
 
 
+def test_every_tick_beats_once_and_lets_the_base_move_only_when_nothing_is_ordered() -> None:
+    words = iter(["run", "pause", "pause", "run", "abort"])
+    bench, _ = executed(Ending(5, "aborted"), command=lambda: next(words))
+    assert bench.beats == [(1, True), (2, False), (3, False), (4, True), (5, False)]
+
+
+def test_a_held_interlock_keeps_the_base_where_it_is() -> None:
+    bench = ObedientBench()
+    bench.services.interlock.hold("a scan")
+    executed(Ending(2, "aborted"), bench)
+    assert {may_move for _, may_move in bench.beats} == {False}
+
+
+def test_mission_time_stands_still_while_it_is_paused() -> None:
+    words = iter(["run", "run", *["pause"] * 8, "run", "run"])
+    bench, times = ObedientBench(), []
+    clock = mission_clock(bench)
+    Executive(
+        Ending(12, "aborted"), bench.services, clock, lambda: next(words), lambda _: times.append(clock.now())
+    ).run()
+    assert times[2:10] == pytest.approx([2 * TICK] * 8)
+    assert times[-1] == pytest.approx(3 * TICK)
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({Key.HOLD: Failure("ESTOP", "release it"), Key.QUESTION: "go on?"}, State(Phase.HOLD, "ESTOP", "release it")),
+        ({Key.QUESTION: "again?"}, State(Phase.ASKING, message="again?")),
+        ({Key.TARGET: Target("G001", 0.0, 0.0, None, "start")}, State(Phase.RETURNING)),
+        ({Key.TARGET: Target("G001", 0.0, 0.0, None, "view")}, State(Phase.RUNNING)),
+    ],
+)
+def test_the_phase_is_what_the_blackboard_tells(keys: dict[Key, object], expected: State) -> None:
+    class Telling(Ending):
+        def update(self) -> Status:
+            for key, value in keys.items():
+                Blackboard.set(key, value)
+            return super().update()
+
+    seen = []
+    bench = ObedientBench()
+    executive = Executive(
+        Telling(2, "aborted"),
+        bench.services,
+        mission_clock(bench),
+        after_tick=lambda _: seen.append(executive.course.state),
+    )
+    executive.run()
+    assert seen[0] == expected
+    assert executive.course.state == State(Phase.ABORTED)
+
+
 def test_ticks_are_counted_and_a_tick_apart() -> None:
     ticks: list[tuple[int, float]] = []
     bench = ObedientBench()
@@ -205,7 +265,7 @@ def test_it_says_whether_the_last_tick_changed_the_survey() -> None:
     executive = Executive(
         Surveying(3, "aborted"),
         bench.services,
-        bench.clock.sleep,
+        mission_clock(bench),
         after_tick=lambda _: changed.append(executive.changed),
     )
     executive.run()

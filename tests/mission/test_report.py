@@ -11,7 +11,7 @@ import pytest
 
 from drivers.simulated.world import save_world
 from mission.evaluation import EvaluationSettings, evaluate_run
-from mission.report import read_run, tables, write_report
+from mission.report import read_run, tables, timing, write_report
 from mission.report.build import duration, number, share
 from perception.failure import FailureError
 from tests.mission.fake_run import FakeRun, write_run
@@ -85,6 +85,27 @@ def test_registrations_get_the_verdict_of_their_weakest_figure(run: FakeRun) -> 
     assert verdicts == {"S01": "reference", "S02": "pass", "S03": "fail"}
 
 
+def test_every_scan_has_its_residual_and_how_far_the_pose_graph_moved_it(tmp_path: Path) -> None:
+    run = write_run(tmp_path)
+    assert tables.pose_graph(read_run(run.folder)) is None
+    state = json.loads((run.folder / "state.json").read_text())
+    for place, scan in enumerate(state["scans"]):
+        scan |= {"residual": 0.0014 if place else None, "moved_m": 0.0042 * place}
+    (run.folder / "state.json").write_text(json.dumps(state))
+    event = {"kind": "poses_optimised", "t": 299.0, "loops": 1, "compared": 5, "disbelieved": [["S01", "S03"]],
+             "refused": [], "rms_before": 0.0009, "rms_after": 0.0002, "moved_m": 0.0042, "taken": True,
+             "reason": ""}  # fmt: skip
+    events = (run.folder / "events.jsonl").read_text().splitlines()[:-1]
+    (run.folder / "events.jsonl").write_text("\n".join([*events, json.dumps(event)]) + "\n")
+    rows = tables.registrations(read_run(run.folder))
+    assert [(row["residual"], row["moved_m"]) for row in rows] == [(None, 0.0), (0.0014, 0.0042), (0.0014, 0.0084)]
+    write_report(run.folder)
+    words = " ".join(Text(page(run)).words.split())
+    assert "1.4" in words and "8.4" in words
+    assert "reconsidered together 1 time, by 5 pairs" in words and "doors close 1 loop." in words
+    assert "differ by 0.90 mm before the first time and 0.20 mm after the last" in words
+
+
 @pytest.mark.parametrize(
     ("figure", "value", "expected"),
     [
@@ -97,11 +118,38 @@ def test_verdicts_turn_at_the_limits(figure: str, value: float, expected: str) -
 
 
 def test_times_are_those_of_the_nodes_the_drives_and_the_stages(run: FakeRun) -> None:
-    times = tables.times(read_run(run.folder))
+    times = timing.times(read_run(run.folder))
     assert times["scanning"] == pytest.approx(3 * 45.0)
     assert times["driving"] == pytest.approx(27.0)
     assert times["thinking"] == pytest.approx(3 * 0.8 + 1.5 + 3.0 + 4.5)
     assert [row["stage"] for row in times["stages"]] == ["next best view", "register"]
+
+
+def test_a_cycle_lasts_from_the_scan_at_home_to_the_next_goal(tmp_path: Path) -> None:
+    """Two scans: after the first a view is driven to, the second is the last and nobody drives."""
+
+    def event(second: float, kind: str, **figures: object) -> dict:
+        return {"t": 10 * second, "utc": f"2026-01-02T03:04:{second:06.3f}Z", "kind": kind, **figures}
+
+    drive = {"node": "drive to the view", "path": "/x", "before": "INVALID", "after": "RUNNING"}
+    events = [
+        event(0.0, "stage", name="warm_up", seconds=9.0),
+        event(1.0, "scan", scan_id="S01"),
+        event(1.5, "stage", name="validate_scan", seconds=0.25),
+        event(3.0, "stage", name="register_scan", seconds=1.25),
+        event(3.5, "node", **drive),
+        event(5.0, "node", **drive | {"before": "RUNNING", "after": "SUCCESS"}),
+        event(6.0, "scan", scan_id="S02"),
+        event(6.5, "stage", name="validate_scan", seconds=0.5),
+    ]
+    (tmp_path / "events.jsonl").write_text("\n".join(map(json.dumps, events)) + "\n")
+    run = read_run(tmp_path)
+    assert timing.cycles(run) == [
+        {"scan": "S01", "thinking": 1.5, "wall": 2.5},
+        {"scan": "S02", "thinking": 0.5, "wall": None},
+    ]
+    (stage,) = [row for row in timing.times(run)["stages"] if row["stage"] == "validate scan"]
+    assert (stage["median"], stage["mean"], stage["worst"]) == (0.375, 0.375, 0.5)
 
 
 def test_every_picture_is_kept_and_not_blank(run: FakeRun) -> None:

@@ -8,6 +8,8 @@ import pytest
 
 from drivers import scan_file
 from mission import stages
+from mission.stages import scan_library
+from mission.stages.memory import Memory
 from mission.stages.placing import ScanSummary
 from mission.stages.scan_library import Library, without_own_body
 from mission.stages.shaping import MapSummary
@@ -223,3 +225,100 @@ def _directions(points: np.ndarray) -> np.ndarray:
 def test_of_a_scanner_without_a_robot_nothing_is_taken_away() -> None:
     scan = replace(a_room_with_a_robot(PATTERN, MOUNT), base_from_scanner=np.eye(4))
     assert len(without_own_body(scan).points) == len(scan.points)
+
+
+def test_poses_that_are_a_little_wrong_are_mended_by_the_pairs_and_no_pair_is_compared_twice(
+    survey: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true = {"S01": survey.anchor.map_from_scanner, "S02": survey.second.map_from_scanner}
+    off = {**true, "S02": true["S02"] @ transforms.planar(0.002, -0.001, 0.0)}
+    arguments = {"scans": [(name, pose.tolist()) for name, pose in off.items()]}
+    library = Library(survey.run)
+    found = stages.run(library, "optimise_poses", arguments)
+    assert (found.compared, found.refused, found.reason) == (1, (), "")
+    assert transforms.difference(found.poses["S02"], true["S02"])[0] < 0.001
+    assert set(found.residuals) == {"S01", "S02"} and max(found.residuals.values()) < 0.006
+    monkeypatch.setattr("perception.pose_graph.compare", None)
+    again = stages.run(library, "optimise_poses", arguments)
+    assert transforms.difference(found.poses["S02"], again.poses["S02"])[0] < 1e-6
+
+
+def a_run_of(folder: Path, *scans: Scan) -> RunFolder:
+    run = RunFolder.at(folder)
+    for scan in scans:
+        scan_file.write(run.scan_file(scan.scan_id), scan)
+    return run
+
+
+def spoiled_scan(name: str, seed: int) -> Scan:
+    """A scan with a robot in it and a few points that are none."""
+    scan = a_room_with_a_robot(PATTERN, MOUNT)
+    noise = np.random.default_rng(seed).normal(1, 1e-3, (len(scan.points), 1)).astype(np.float32)
+    points = scan.points * noise
+    points[:: len(points) // 7] = np.nan
+    return replace(scan, scan_id=name, points=points)
+
+
+def test_a_scan_that_was_forgotten_is_the_same_when_it_is_read_again(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(scan_library, "_WHOLE", 1)
+    library = Library(a_run_of(tmp_path, spoiled_scan("S01", 1), spoiled_scan("S02", 2)))
+    first = library.scan("S01")
+    kept = first.points.copy(), first.beam.copy()
+    library.scan("S02")
+    again = library.scan("S01")
+    assert again is not first
+    np.testing.assert_array_equal(again.points, kept[0])
+    np.testing.assert_array_equal(again.beam, kept[1])
+    assert np.isfinite(again.points).all() and len(without_own_body(again).points) == len(again.points)
+
+
+def test_a_scan_that_comes_again_under_another_name_is_refused(tmp_path) -> None:
+    scan = spoiled_scan("S01", 1)
+    library = Library(a_run_of(tmp_path, scan, replace(scan, scan_id="S02"), spoiled_scan("S03", 3)))
+    library.scan("S01")
+    with pytest.raises(FailureError, match="SCAN_REPEATED"):
+        stages.run(library, "validate_scan", {"scan_id": "S02"})
+    stages.run(library, "validate_scan", {"scan_id": "S03"})
+
+
+def test_scans_side_by_side_are_coarsened_when_they_are_many(tmp_path, monkeypatch) -> None:
+    scans = [spoiled_scan(f"S{n:02d}", n) for n in range(4)]
+    library = Library(a_run_of(tmp_path, *scans))
+    placed = [(scan.scan_id, np.eye(4).tolist()) for scan in scans]
+    assert [len(scan.points) for scan, _ in library.placed(placed)] == [
+        len(library.scan(scan.scan_id).points) for scan in scans
+    ]
+    monkeypatch.setattr(scan_library, "_PLACED_POINTS", PATTERN.size)
+    coarse = [scan for scan, _ in library.placed(placed)]
+    assert sum(scan.pattern.size for scan in coarse) < 1.2 * PATTERN.size
+    for scan in coarse:
+        seen = np.einsum("ij,ij->i", _directions(scan.points), scan.pattern.directions(scan.beam))
+        assert seen.min() > np.cos(np.deg2rad(0.1)), "every point is still on its beam"
+
+
+def test_a_cloud_of_many_scans_is_no_larger_than_one_of_ten(tmp_path, monkeypatch) -> None:
+    scans = [spoiled_scan(f"S{n:02d}", n) for n in range(4)]
+    library = Library(a_run_of(tmp_path, *scans))
+    placed = [(scan.scan_id, np.eye(4).tolist()) for scan in scans]
+    whole = library.cloud(placed)
+    monkeypatch.setattr(scan_library, "_CLOUD_POINTS", 2 * scan_library._THINNED_POINTS)
+    points, stations, station_of = library.cloud(placed)
+    assert len(points) == len(station_of) == pytest.approx(len(whole[0]) / 2, rel=0.01) and len(stations) == 4
+
+
+def test_memory_keeps_the_newest_within_its_bytes_and_makes_the_rest_again() -> None:
+    memory: Memory[np.ndarray] = Memory(100)
+    made: list[str] = []
+
+    def ask(name: str, size: int = 40) -> None:
+        memory.get(name, lambda: made.append(name) or np.zeros(size, np.uint8))
+
+    for name in "abacab":
+        ask(name)
+    assert "".join(made) == "abcb", "b was the oldest when c came"
+    assert len(memory) == 2 and memory.bytes == 80
+    ask("large", 500)
+    assert len(memory) == 1 and memory.bytes == 500, "the newest stays however large"
+    with pytest.raises(ZeroDivisionError):
+        memory.get("broken", lambda: 1 // 0)
+    assert memory.bytes == 500

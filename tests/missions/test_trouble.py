@@ -33,8 +33,11 @@ def saved_world(folder: Path) -> Path:
 
 
 def test_an_operator_who_interrupts_gets_a_mission_that_was_ended_properly(tmp_path: Path) -> None:
+    """The first Ctrl-C pauses, the second one aborts."""
     process = simulate(ONE_ROOM, tmp_path)
     wait_until(lambda: is_running(tmp_path / "runs", "take the scan"), process)
+    process.send_signal(signal.SIGINT)
+    wait_until(lambda: is_running(tmp_path / "runs", "pause ordered?"), process)
     process.send_signal(signal.SIGINT)
     flight = landed(process, tmp_path)
     assert flight.code == 4, flight.stderr

@@ -8,12 +8,15 @@ from typing import Any
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from behaviours.services import Services
+from behaviours.services import Clock, Services
 from behaviours.settings import Settings
 from behaviours.survey import Survey
-from drivers.simulated.clock import VirtualClock
+from mission.clock import MissionClock
 from mission.executive import TICK, Executive
 from mission.journal import plain
+from mission.operator import Desk, Word
+from mission.phase import Course
+from mission.run import record_phase
 from perception.building import Room
 from tests.scenarios.scripted import FreeFloor, Script, ScriptedBase, ScriptedPerception, ScriptedScanner
 from tests.scenarios.site import Site
@@ -28,7 +31,7 @@ _TOO_MANY_TICKS = 3000
 class Events(list[dict[str, Any]]):
     """A journal in memory; every figure must have a place in the event log."""
 
-    def __init__(self, clock: VirtualClock) -> None:
+    def __init__(self, clock: Clock) -> None:
         super().__init__()
         self._clock = clock
 
@@ -49,6 +52,7 @@ class Play:
     """A mission to be played: change its parts, then :meth:`run` it once.
 
     Args:
+        attended: whether an operator is there to answer, at ``desk``; else every default is taken at once.
         each_tick: called after each tick with the play and the number of ticks so far; the place for what happens
             to the building, to the robot, or to the operator's mind while the mission runs.
     """
@@ -58,25 +62,37 @@ class Play:
     settings: Settings = field(default_factory=Settings)
     each_tick: Callable[["Play", int], None] = lambda _play, _ticks: None
     abort_at: int | None = None
+    attended: bool = False
     root: Behaviour = field(init=False)
     ticks: int = 0
 
     def __post_init__(self) -> None:
-        self.clock = self.script.clock
+        self.clock = MissionClock(source=self.script.clock.now, wait=self._wait)
         self.events = Events(self.clock)
+        self.word = Word()
+        self.desk = Desk(self.clock, self.events, self.attended)
         self.base = ScriptedBase(self.site, self.script)
         self.scanner = ScriptedScanner(self.base, self.script)
         self.perception = ScriptedPerception(self.site, self.scanner, self.script)
+        self.floor = FreeFloor()
         self.root = create_root(self.settings)
         services = Services(
-            self.scanner, self.base, self.perception, self.clock, self.events, FreeFloor(), self.settings
+            self.scanner, self.base, self.perception, self.clock, self.events, self.floor, self.settings, self.desk
         )
-        self.executive = Executive(self.root, services, self._sleep, self._command, self._after_tick)
+        self.course = Course(lambda before, after: record_phase(self.events, before, after))
+        self.executive = Executive(
+            self.root, services, self.clock, self._command, self._after_tick, self.course, "resume goes on"
+        )
 
     def run(self) -> str:
         outcome = self.executive.run()
         self.assert_at_rest()
         return outcome
+
+    @property
+    def phases(self) -> list[str]:
+        """Every phase in its order, a hold with its code."""
+        return [f"{row['after']}({row['code']})" if row["code"] else row["after"] for row in self.events.of("phase")]
 
     @property
     def survey(self) -> Survey:
@@ -122,11 +138,11 @@ class Play:
         rooms = self.survey.building.rooms
         assert ended == {room.id: (room.status, room.reason) for room in rooms if room.status != "open"}
 
-    def _sleep(self, seconds: float) -> None:
-        self.clock.sleep(seconds * TICK_S / TICK)
+    def _wait(self, seconds: float) -> None:
+        self.script.clock.sleep(seconds * TICK_S / TICK)
 
     def _command(self) -> str:
-        return "abort" if self.abort_at is not None and self.ticks + 1 >= self.abort_at else "run"
+        return "abort" if self.abort_at is not None and self.ticks + 1 >= self.abort_at else self.word()
 
     def _after_tick(self, ticks: int) -> None:
         self.ticks = ticks

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.interfaces import BaseState, DriveGoal, DriveReport, ScanReceipt, ScanSettings
+from drivers.interfaces import BaseState, DriveGoal, DriveReport, Lease, ScanReceipt, ScanSettings
 from drivers.jobs import Done, Failed, Outcome, Running
 from drivers.simulated.clock import VirtualClock
+from mission.summaries import MapSummary, ScanSummary
 from perception import transforms
 from perception.failure import Failure
 from perception.findings import (
@@ -23,6 +24,7 @@ from perception.findings import (
     Candidate,
     DoorFindings,
     LabelCounts,
+    PoseAdjustment,
     Registration,
     ViewChoice,
 )
@@ -114,7 +116,9 @@ class ScriptedBase:
         self.goals: list[DriveGoal] = []
         self.commands: list[str] = []
         self.emergency_stop = False
+        self.battery = 0.9
         self.silent_since: float | None = None
+        self.beats: list[tuple[int, bool]] = []
         self._script = script
 
     @property
@@ -124,7 +128,17 @@ class ScriptedBase:
     def state(self) -> BaseState | None:
         age = 0.0 if self.silent_since is None else self._script.clock.now() - self.silent_since
         odometry = ODOM_FROM_MAP @ self.map_from_base
-        return BaseState(odometry, None, False, self.emergency_stop, 0.9, "idle", age)
+        return BaseState(odometry, None, False, self.emergency_stop, self.battery, "idle", age)
+
+    def acquire(self, owner: str) -> ScriptedJob:
+        return self._script.job("acquire", lambda: Lease(1, 1, owner))
+
+    def beat(self, tick: int, may_move: bool) -> None:
+        assert not self.beats or tick > self.beats[-1][0], "the same tick beats once"
+        self.beats.append((tick, may_move))
+
+    def release(self) -> ScriptedJob:
+        return self._script.job("release", lambda: None)
 
     def drive(self, goal: DriveGoal) -> ScriptedJob:
         assert goal.goal_id not in {known.goal_id for known in self.goals}, "a goal is never driven twice"
@@ -139,6 +153,10 @@ class ScriptedBase:
         return self._script.job("stop", lambda: None)
 
     def _arrive(self, goal: DriveGoal) -> DriveReport | Failure:
+        if self.emergency_stop:
+            return Failure("ESTOP", "the emergency stop is pressed", {"track": [], "distance": 0.0})
+        if self.silent_since is not None:
+            return Failure("AGENT_UNREACHABLE", "no answer")
         start, target = self.pose[:2], (goal.x, goal.y)
         way = self.site.way(start, target)
         if way is None:
@@ -196,20 +214,6 @@ class ScriptedScanner:
         return self._script.job("fetch", lambda: destination)
 
 
-@dataclass(frozen=True)
-class Validated:
-    points: int
-    median_range: float
-    base_from_scanner: Matrix
-
-
-@dataclass(frozen=True)
-class Mapped:
-    map_id: str
-    free_m2: float
-    obstacle_m2: float
-
-
 class ScriptedPerception:
     """Finds in every scan what the site has; a room is seen by 90 % in its first cycle and by 92 % in its second.
 
@@ -233,8 +237,8 @@ class ScriptedPerception:
         """Arguments of each call of a stage."""
         return [arguments for name, arguments in self.requests if name == stage]
 
-    def validate_scan(self, scan_id: str) -> Validated:
-        return Validated(1_000_000, 3.0, MOUNT)
+    def validate_scan(self, scan_id: str) -> ScanSummary:
+        return ScanSummary(1_000_000, 0, 0.9, 3.0, MOUNT)
 
     def align_scan(self, scan_id: str) -> Alignment:
         level_from_scanner = transforms.from_euler(0, 0, 0, (0, 0, 1.3))
@@ -251,11 +255,16 @@ class ScriptedPerception:
     def register_globally(self, scan_id: str, **_: Any) -> Registration:
         return self._found(scan_id, "global")
 
+    def optimise_poses(self, scans: list[tuple[str, list[list[float]]]]) -> PoseAdjustment:
+        """Nothing to be mended: the poses are true."""
+        poses = {name: np.array(pose) for name, pose in scans}
+        return PoseAdjustment(poses, dict.fromkeys(poses, 0.002), len(poses) - 1, (), 0.0005, 0.0005, 0.0)
+
     def segment_room(self, seed: tuple[float, float], **_: Any) -> object:
         return self.site.shape(self.site.room_at(*seed))
 
-    def build_map(self, scan_id: str, **_: Any) -> Mapped:
-        return Mapped(f"map_{scan_id}", 20.0, 2.0)
+    def build_map(self, scan_id: str, **_: Any) -> MapSummary:
+        return MapSummary(f"map_{scan_id}", 20.0, 2.0)
 
     def label_space(self, cycle: int, **_: Any) -> LabelCounts:
         seen = self.seen[min(cycle, len(self.seen)) - 1]
@@ -285,6 +294,11 @@ class ScriptedPerception:
 
 class FreeFloor:
     """The run folder of a mission that leaves none: every robot map is free floor."""
+
+    free = 100.0
+
+    def free_gb(self) -> float:
+        return self.free
 
     def scan_file(self, scan_id: str) -> Path:
         return Path(f"{scan_id}.scan")

@@ -8,7 +8,7 @@ import pytest
 
 from behaviours.settings import BuildingSettings, Settings
 from tests.scenarios.play import Play
-from tests.scenarios.scripted import MOUNT
+from tests.scenarios.scripted import EVER, MOUNT
 from tests.scenarios.site import Site, row, star, twice_joined
 
 
@@ -74,6 +74,23 @@ def test_a_second_door_to_a_room_is_known_to_lead_there() -> None:
     assert sorted(play.rooms) == ["A", "B"]
     assert sorted(play.doors) == ["linked", "passed"]
     assert play.calls["take"] == 4
+
+
+def test_poses_are_adjusted_when_a_door_closes_a_loop_and_once_more_at_the_end() -> None:
+    """A tree of rooms is looked at only at the end, where every scan gets its residual."""
+    tree, loop = Play(star()), Play(twice_joined())
+    assert tree.run() == loop.run() == "complete"
+    assert (tree.calls["optimise_poses"], loop.calls["optimise_poses"]) == (1, 2)
+    assert [len(asked["scans"]) for asked in loop.perception.of_stage("optimise_poses")] == [4, 4]
+    assert {scan.residual for scan in tree.survey.scans} == {0.002}
+
+
+def test_a_pose_graph_that_fails_costs_nothing_but_the_residuals() -> None:
+    play = Play(twice_joined())
+    play.script.fail("optimise_poses", "PERC_TIMEOUT", EVER)
+    assert play.run() == "complete"
+    assert {scan.residual for scan in play.survey.scans} == {None}
+    assert play.events.codes == ["PERC_TIMEOUT", "PERC_TIMEOUT"]
 
 
 def test_a_room_whose_views_promise_nothing_ends_without_a_confirming_scan() -> None:

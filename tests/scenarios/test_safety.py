@@ -64,28 +64,29 @@ def test_an_emergency_stop_ends_the_mission_whatever_it_is_doing(operation: str)
     assert play.script.jobs[-1].what == "stop"
 
 
-def test_the_emergency_stop_matters_more_than_the_operators_word() -> None:
-    """Both at once: the outcome names the graver one."""
+def test_an_operator_who_aborts_is_obeyed_in_an_emergency_stop_too() -> None:
+    """Both at once: nobody has to find the red button first to get the mission to an end."""
 
     def both(play: Play) -> None:
         play.base.emergency_stop, play.abort_at = True, 0
 
-    assert Play(row(1), each_tick=during("drive", both)).run() == "safety_stop"
+    assert Play(row(1), each_tick=during("drive", both)).run() == "aborted"
 
 
-def test_a_base_that_falls_silent_ends_the_mission() -> None:
-    """No telemetry for longer than is tolerable: the base stops by itself then, and the mission does not wait."""
+def test_a_base_that_falls_silent_for_good_ends_the_mission_within_its_bound() -> None:
+    """No telemetry for longer than is tolerable: the base stops by itself then, and is waited for, but not for ever."""
 
     def falls_silent(play: Play) -> None:
         if play.base.silent_since is None:
-            play.base.silent_since = play.clock.now()
+            play.base.silent_since = play.script.clock.now()
 
     play = Play(row(2), each_tick=during("drive", falls_silent))
     play.script.fail("stop", "AGENT_UNREACHABLE", EVER)
     assert play.run() == "safety_stop"
     assert play.base.silent_since is not None
-    assert play.clock.now() - play.base.silent_since < 100.0
-    assert play.events.codes[-1] == "AGENT_UNREACHABLE"
+    assert play.script.clock.now() - play.base.silent_since < 150.0
+    assert play.events.codes[-2:] == ["BASE_LOST", "AGENT_UNREACHABLE"]
+    assert play.phases[-2:] == ["hold(BASE_LOST)", "aborted(SAFETY_STOP)"]
 
 
 def test_a_base_that_never_spoke_gets_no_scan_that_would_have_no_place() -> None:

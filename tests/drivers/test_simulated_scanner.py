@@ -5,6 +5,7 @@ import pytest
 
 from drivers.interfaces import ScanSettings
 from drivers.jobs import Done, Failed, Running
+from drivers.simulated.agents import run_scanner_agent
 from drivers.simulated.bodies import Body
 from drivers.simulated.clock import VirtualClock
 from drivers.simulated.plant import Stance
@@ -14,6 +15,7 @@ from drivers.simulated.scanner_device import SimulatedScannerDevice
 from drivers.simulated.scenario import ScannerFaults
 from drivers.simulated.truth_log import TruthLog, read_truth
 from drivers.simulated.world import Surface
+from drivers.wire.endpoints import Endpoints
 from perception import transforms
 from perception.failure import FailureError
 from tests.drivers.simulated_rooms import HEIGHT, shell, world_of
@@ -34,6 +36,11 @@ def off_the_walls(points):
     """Distance of each point to the nearest face of the room."""
     x, y, z = np.abs(points[:, 0]), np.abs(points[:, 1]), points[:, 2]
     return np.abs(np.stack([x - 4.0, y - 3.0, z, z - HEIGHT])).min(0)
+
+
+def test_a_profile_that_nobody_wrote_is_refused_with_those_there_are(tmp_path):
+    with pytest.raises(FailureError, match="PROFILE_UNKNOWN.*vz-400"):
+        run_scanner_agent(tmp_path / "world.npz", tmp_path, "ipc://nobody", Endpoints("ipc://nobody"), profile="vz-4")
 
 
 def test_a_perfect_scanner_puts_every_point_on_a_wall_whatever_the_pose_and_the_tilt():

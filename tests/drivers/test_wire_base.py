@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ import zmq
 
 from drivers.agent import Agent, base_agent, serve_base
 from drivers.interfaces import BaseInfo
+from drivers.jobs import BackgroundJob, Progress, Running
 from drivers.messages import (
     PROTOCOL,
     AnyReply,
     BaseRequest,
+    Body,
     Drive,
     Goal,
     Ok,
@@ -25,12 +28,13 @@ from drivers.messages import (
     Telemetry,
 )
 from drivers.wire.base_client import BaseClient
+from drivers.wire.client import Link
 from drivers.wire.codec import Codec, encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
 from perception import transforms
-from perception.failure import FailureError
+from perception.failure import Failure, FailureError
 from tests.drivers.wire_fakes import (
     ANY_PORT,
     ANYWHERE,
@@ -267,6 +271,37 @@ def test_a_link_that_went_deaf_is_replaced_and_the_request_keeps_its_id():
         socket.send_multipart([identity, encode(Reply(PROTOCOL, request_id, Ok(), "boot", 0.0))])
         assert value_of(job) is None and request_id == requests.decode(first).request_id
         client.close()
+
+
+def told(job_of: Callable[[Link], object], *bodies: tuple[Body, str]) -> Failure:
+    """How a conversation fails in which the agent says each of these to a new request, and the last for ever."""
+    requests: Codec = Codec(Request[BaseRequest])
+    with Sockets().router(ANY_PORT)[0] as socket:
+        endpoint = socket.get_string(zmq.LAST_ENDPOINT).rstrip("\0")
+
+        def converse(progress: Progress) -> object:
+            with Link(Sockets(), endpoint, QUICK, progress) as link:
+                return job_of(link)
+
+        job, asked = BackgroundJob(converse), []
+        while isinstance(job.poll(), Running):
+            if socket.poll(20):
+                identity, frame = socket.recv_multipart()
+                request_id = requests.decode(frame).request_id
+                asked += [] if request_id in asked else [request_id]
+                body, boot = bodies[min(asked.index(request_id), len(bodies) - 1)]
+                socket.send_multipart([identity, encode(Reply(PROTOCOL, request_id, body, boot, 0.0))])
+    return failure_of(job)
+
+
+def test_an_order_that_must_not_outlive_its_agent_is_refused_where_another_process_answers():
+    orders = told(lambda link: (link.ask(Stop(), Ok), link.ask(Stop(), Ok, once=True)), (Ok(), "a"), (Stale(), "b"))
+    assert orders.code == "AGENT_RESTARTED"
+
+
+def test_a_reply_that_answers_another_question_is_not_believed():
+    reply = told(lambda link: link.ask(Stop(), Ok), (Pending(), "a"))
+    assert reply.code == "BAD_REPLY" and "Pending" in reply.message
 
 
 def test_an_agent_of_another_version_is_named():

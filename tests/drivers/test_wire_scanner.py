@@ -103,6 +103,21 @@ def test_cancelling_aborts_the_scan(device, client):
     assert set(device.aborted) == {"S01"}
 
 
+def test_a_device_that_forgets_its_scan_is_not_waited_for(device, client):
+    device.duration = 30.0
+    job = client.take("S01", SETTINGS, ODOMETRY)
+    eventually(lambda: device.started)
+    device.status = lambda scan_id: None
+    assert failure_of(job).code == "DEVICE_FORGOT"
+
+
+@pytest.mark.parametrize("in_the_way", ["S01.scan.tmp", "S01.json"])
+def test_a_scan_that_cannot_be_put_on_the_shelf_or_found_there_is_named(client, tmp_path, in_the_way):
+    (tmp_path / "spool" / in_the_way).mkdir(parents=True)
+    failure = failure_of(client.take("S01", SETTINGS, ODOMETRY))
+    assert failure.code == "SPOOL_FAILED" and "S01" in failure.evidence["file"]
+
+
 def test_a_request_that_makes_no_sense_is_refused_with_the_reason(client):
     failure = failure_of(client.take("../S01", SETTINGS, ODOMETRY))
     assert failure.code == "BAD_MESSAGE" and "scan_id" in failure.message

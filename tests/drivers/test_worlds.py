@@ -147,6 +147,15 @@ def test_a_plan_that_cannot_be_built_is_refused(change: dict, tmp_path: Path) ->
     assert code_of(load_world, str(path)) == "WORLD_PLAN_INVALID"
 
 
+def test_furniture_that_bars_the_robots_way_is_refused() -> None:
+    barred = SMALL | {"furniture": [{"kind": "cupboard", "at": [4.7, 2.0], "angle": 90}]}
+    assert code_of(build_plan, Plan.model_validate(barred), 0) == "WORLD_UNREACHABLE"
+
+
+def test_a_room_that_the_world_does_not_have_is_refused(school: World) -> None:
+    assert code_of(school.truth.room, "room-99") == "WORLD_NO_ROOM"
+
+
 def test_the_errors_of_a_plan_name_their_keys_all_at_once(tmp_path: Path) -> None:
     path = tmp_path / "plan.yaml"
     path.write_text("name: x\nrooms: {a: {box: [0, 0, 1]}}\ndoors: [{room: a, at: [0, 0], width: -1}]\n")
@@ -279,6 +288,16 @@ def test_the_start_in_a_mesh_can_be_chosen(shoebox: Path) -> None:
     assert load_world(str(shoebox), up="y", start=(1.0, -1.0, 0.5)).start == (1.0, -1.0, 0.5)
 
 
+@pytest.mark.parametrize("size", [(0.1, 4.0, 2.5), (0.3, 0.3, 0.1)], ids=["all wall", "too small for the robot"])
+def test_a_mesh_on_which_no_robot_can_stand_is_refused(size: tuple[float, ...], tmp_path: Path) -> None:
+    import trimesh
+
+    box = trimesh.creation.box(size)
+    upright = box.face_normals[:, 2] == 0
+    trimesh.Trimesh(box.vertices, box.faces[upright] if size[2] > 1 else box.faces).export(tmp_path / "box.stl")
+    assert code_of(load_world, str(tmp_path / "box.stl")) == "WORLD_NO_FLOOR"
+
+
 @pytest.mark.parametrize(
     ("spec", "options", "code"),
     [
@@ -310,6 +329,15 @@ def test_an_ifc_storey_has_its_spaces_and_doors() -> None:
     assert doors["Innentuer-2"].thickness == pytest.approx(0.24, abs=0.01)
     ceiling = areas(*structural_surfaces(world, "Wohnen"))[Surface.CEILING]
     assert ceiling == pytest.approx(world.truth.room("Wohnen").area, rel=0.03)
+
+
+def test_an_ifc_without_the_wanted_storey_is_refused_with_those_there_are(tmp_path: Path) -> None:
+    ifcopenshell = pytest.importorskip("ifcopenshell", reason="the extra [ifc] is not installed")
+    model = ifcopenshell.file(schema="IFC4")
+    model.create_entity("IfcBuildingStorey", GlobalId=ifcopenshell.guid.new(), Name="Attic")
+    model.write(str(tmp_path / "house.ifc"))
+    with pytest.raises(FailureError, match=r"WORLD_NO_STOREY.*Attic"):
+        load_world(str(tmp_path / "house.ifc"), storey="Cellar")
 
 
 def test_without_ifcopenshell_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

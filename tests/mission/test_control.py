@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from drivers.wire.client import Patience
 from mission.cli import app
 from mission.control import Abort, AnswerQuestion, AskStatus, Console, Pause, Resume, is_live, order, serving
 from mission.operator import Desk, Word
@@ -86,6 +87,15 @@ def test_an_address_left_by_a_killed_executive_is_known_as_such(tmp_path: Path) 
         order(tmp_path, Pause())
     with serving(Live().console, tmp_path):
         assert is_live(tmp_path)
+
+
+def test_an_executive_that_lives_but_does_not_answer_is_told_apart_from_one_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mission.control._PATIENCE", Patience(first=0.05, longest=0.1, total=0.2))
+    (tmp_path / "control.json").write_text(json.dumps({"endpoint": f"ipc://{tmp_path}/deaf", "pid": os.getpid()}))
+    with pytest.raises(FailureError, match="EXECUTIVE_SILENT"):
+        order(tmp_path, Pause())
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"endpoint": 3}'])

@@ -39,7 +39,7 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
     outcome = _outcome(folder)
     if outcome in _FINISHED:
         raise FailureError("MISSION_ENDED", f"{path}: this mission has ended: {outcome}")
-    with _orphans_ended(folder):
+    with orphans_ended(folder):
         summary = run_mission(load_config(folder.config), folder, display, go_on_at_once)
     if folder.simulation.exists():
         from mission.evaluation import evaluate_run
@@ -57,7 +57,7 @@ def _outcome(folder: RunFolder) -> str | None:
 
 
 @contextmanager
-def _orphans_ended(folder: RunFolder) -> Iterator[None]:
+def orphans_ended(folder: RunFolder) -> Iterator[None]:
     """A rehearsal's agents outlive an executive that was killed; they end with the mission that takes them up."""
     try:
         yield

@@ -15,8 +15,8 @@ from perception.findings import Door, Polygon, RoomShape
 from perception.polar import crossed_between
 from perception.rasters import picked
 from perception.segmentation import Levels, floor_and_ceiling
-from perception.surroundings import REACH, inside_ring, relevant
-from perception.walls import Views, fit_walls
+from perception.surroundings import REACH, Views, inside_ring, relevant
+from perception.walls import fit_walls
 
 GAP = 0.15
 """Half of the widest gap between ceiling points that is bridged, metres."""

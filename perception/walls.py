@@ -12,6 +12,7 @@ from perception.findings import Polygon
 from perception.grids import Grid
 from perception.rasters import picked
 from perception.segmentation import Histogram, Interval, local_maxima, peak_interval
+from perception.surroundings import Views
 
 Vector = NDArray[np.float64]
 
@@ -32,32 +33,6 @@ CEILING_SHARE = 0.6
 _CEILING_ROWS = 3
 _BIN = 0.02
 _PATCH = 0.10
-
-
-@dataclass(frozen=True)
-class Views:
-    """Points ``(N, 3)`` of the map frame, and where they were seen from, if known.
-
-    Args:
-        points: in the order of their stations.
-        stations: ``(S, 3)``.
-        station_of: ``(N,)`` row of ``stations``, ascending.
-    """
-
-    points: NDArray[np.float64]
-    stations: NDArray[np.floating] | None = None
-    station_of: NDArray[np.integer] | None = None
-
-    def of(self, station: int) -> NDArray[np.float64]:
-        """The points seen from one station; all of them if that is not known."""
-        if self.station_of is None:
-            return self.points
-        first, last = np.searchsorted(self.station_of, [station, station + 1])
-        return self.points[first:last]
-
-    def subset(self, mask: NDArray[np.bool_]) -> "Views":
-        rows = None if self.station_of is None else self.station_of[mask]
-        return Views(self.points[mask], self.stations, rows)
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def off_the_walls(points):
 
 
 def test_a_profile_that_nobody_wrote_is_refused_with_those_there_are(tmp_path):
-    with pytest.raises(FailureError, match="PROFILE_UNKNOWN.*vz-400"):
+    with pytest.raises(FailureError, match=r"PROFILE_UNKNOWN.*vz-400"):
         run_scanner_agent(tmp_path / "world.npz", tmp_path, "ipc://nobody", Endpoints("ipc://nobody"), profile="vz-4")
 
 

@@ -147,8 +147,9 @@ def test_a_plan_that_cannot_be_built_is_refused(change: dict, tmp_path: Path) ->
     assert code_of(load_world, str(path)) == "WORLD_PLAN_INVALID"
 
 
-def test_furniture_that_bars_the_robots_way_is_refused() -> None:
-    barred = SMALL | {"furniture": [{"kind": "cupboard", "at": [4.7, 2.0], "angle": 90}]}
+def test_furniture_that_bars_the_robots_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.simulated.worlds.assembly.DRAWS", 1)
+    barred = SMALL | {"furniture": [{"kind": "cupboard", "at": [4.5, 2.0], "yaw": 90, "size": [2.0, 0.5, 1.0]}]}
     assert code_of(build_plan, Plan.model_validate(barred), 0) == "WORLD_UNREACHABLE"
 
 
@@ -288,14 +289,16 @@ def test_the_start_in_a_mesh_can_be_chosen(shoebox: Path) -> None:
     assert load_world(str(shoebox), up="y", start=(1.0, -1.0, 0.5)).start == (1.0, -1.0, 0.5)
 
 
-@pytest.mark.parametrize("size", [(0.1, 4.0, 2.5), (0.3, 0.3, 0.1)], ids=["all wall", "too small for the robot"])
-def test_a_mesh_on_which_no_robot_can_stand_is_refused(size: tuple[float, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize("covered", [False, True], ids=["walls alone", "a floor under a block"])
+def test_a_mesh_on_which_no_robot_can_stand_is_refused(covered: bool, tmp_path: Path) -> None:
     import trimesh
 
-    box = trimesh.creation.box(size)
-    upright = box.face_normals[:, 2] == 0
-    trimesh.Trimesh(box.vertices, box.faces[upright] if size[2] > 1 else box.faces).export(tmp_path / "box.stl")
-    assert code_of(load_world, str(tmp_path / "box.stl")) == "WORLD_NO_FLOOR"
+    block = trimesh.creation.box((1.9, 1.9, 0.8)).apply_translation((0.0, 0.0, 0.45))
+    walls = trimesh.Trimesh(block.vertices, block.faces[np.abs(block.face_normals[:, 2]) < 0.5])
+    floor = trimesh.creation.box((2.0, 2.0, 0.1))
+    shape = trimesh.util.concatenate([floor, block]) if covered else walls
+    shape.export(tmp_path / "shape.stl")
+    assert code_of(load_world, str(tmp_path / "shape.stl")) == "WORLD_NO_FLOOR"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ import pytest
 
 from drivers.simulated.truth_log import read_truth
 from mission.config import load_config
+from mission.resume import orphans_ended
+from mission.store import RunFolder
 from tests.missions.flights import ENOUGH, TWO_ROOMS, is_listening, is_running, landed, mission, simulate, wait_until
 
 
@@ -38,6 +40,11 @@ def test_a_run_that_lost_a_scan_says_so_and_is_not_taken_up(tmp_path: Path) -> N
     process.kill()
     process.wait()
     (run,) = (tmp_path / "runs").iterdir()
+    with orphans_ended(RunFolder(run)):
+        assert_refused(run)
+
+
+def assert_refused(run: Path) -> None:
     scan = run / "scans" / "S01.scan"
     content = bytearray(scan.read_bytes())
     content[len(content) // 2] ^= 1

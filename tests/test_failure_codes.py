@@ -1,0 +1,131 @@
+"""Every failure code of the program has its row in the operator's guide, and a test that produces it."""
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+FLOORS = ("perception", "drivers", "behaviours", "trees", "mission")
+GUIDE = ROOT / "docs" / "operations.md"
+FAILURES = frozenset({"FailureError", "Failure", "Problem"})
+CODE = re.compile(r"[A-Z][A-Z0-9_]{3,}")
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@cache
+def modules() -> list[ast.Module]:
+    paths = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
+    return [ast.parse(path.read_text(encoding="utf-8")) for path in paths]
+
+
+def name_of(call: ast.Call) -> str:
+    return getattr(call.func, "id", None) or getattr(call.func, "attr", "")
+
+
+def codes_given(tree: ast.AST, makers: frozenset[str]) -> Iterator[ast.expr]:
+    """What stands where a failure, or whatever makes one, takes its code."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and node.args and name_of(node) in makers:
+            yield node.args[0]
+        elif isinstance(node, ast.Dict):  # a row of the journal that tells a failure without making one
+            yield from (value for key, value in zip(node.keys, node.values, strict=True) if is_code_key(key))
+
+
+def is_code_key(key: ast.expr | None) -> bool:
+    return isinstance(key, ast.Constant) and key.value == "code"
+
+
+def passes_on(function: Function, makers: frozenset[str]) -> bool:
+    """Whether a function hands its first parameter on as a code."""
+    parameters = [argument.arg for argument in function.args.args if argument.arg != "self"]
+    given = {node.id for node in codes_given(function, makers) if isinstance(node, ast.Name)}
+    return bool(parameters) and parameters[0] in given
+
+
+def makers_in(tree: ast.Module, elsewhere: frozenset[str]) -> frozenset[str]:
+    """The names by which a module may make a failure, its own functions that pass a code on among them."""
+    makers = elsewhere
+    functions = [node for node in ast.walk(tree) if isinstance(node, Function)]
+    while more := {one.name for one in functions if passes_on(one, makers)} - makers:
+        makers |= more
+    return makers
+
+
+@cache
+def public_makers() -> frozenset[str]:
+    found = frozenset().union(*(makers_in(tree, FAILURES) for tree in modules()))
+    return FAILURES | {name for name in found if not name.startswith("_")}
+
+
+def constants(node: ast.expr) -> Iterator[str]:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    elif isinstance(node, ast.IfExp):
+        yield from constants(node.body)
+        yield from constants(node.orelse)
+
+
+def assigned(tree: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign):
+            yield from ((target.id, node.value) for target in node.targets if isinstance(target, ast.Name))
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.value:
+            yield node.target.id, node.value
+
+
+@cache
+def codes() -> frozenset[str]:
+    """All codes of the five floors: given as such, or through a name or a class attribute that is given."""
+    found: set[str] = set()
+    attributes: set[str] = set()
+    for tree in modules():
+        given = list(codes_given(tree, makers_in(tree, public_makers())))
+        names = {node.id for node in given if isinstance(node, ast.Name)}
+        attributes |= {node.attr for node in given if isinstance(node, ast.Attribute)}
+        found.update(code for node in given for code in constants(node))
+        found.update(code for name, value in assigned(tree) if name in names for code in constants(value))
+    for tree in modules():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                body = (part for line in node.body for part in assigned(line) if not isinstance(line, Function))
+                found.update(code for name, value in body if name in attributes for code in constants(value))
+    return frozenset(code for code in found if CODE.fullmatch(code))
+
+
+@cache
+def rows() -> list[tuple[list[str], list[str]]]:
+    """Codes and further cells of each row in the guide's section on them."""
+    section = re.split(r"^## ", GUIDE.read_text(encoding="utf-8").partition("\n## Failure codes\n")[2], flags=re.M)[0]
+    lines = [line.strip().strip("|").split(" | ") for line in section.splitlines() if line.startswith("| `")]
+    return [(re.findall(r"`([A-Z0-9_]+)`", first), rest) for first, *rest in lines]
+
+
+@cache
+def names_in_tests() -> frozenset[str]:
+    tests = (path for path in (ROOT / "tests").rglob("*.py") if path != Path(__file__))
+    return frozenset(word for path in tests for word in CODE.findall(path.read_text(encoding="utf-8")))
+
+
+def test_codes_are_found_however_they_reach_their_failure() -> None:
+    """A literal, a gate of its own, a gate elsewhere, a choice, a name, an attribute, a row: one of each."""
+    ways = {"NAV_NO_PATH", "REG_INCONSISTENT", "SCAN_TRUNCATED", "NAV_BLOCKED", "SCAN_MOVED", "DISK_FULL"}
+    assert ways | {"NAV_TIMEOUT", "ESTOP", "TICK_EXCEPTION"} <= codes()
+    assert len(codes()) > 100
+
+
+@pytest.mark.parametrize("code", sorted(codes()))
+def test_each_code_is_explained_and_produced(code: str) -> None:
+    assert [code in named for named, _ in rows()].count(True) == 1, "it needs one row in docs/operations.md"
+    assert code in names_in_tests(), "it needs a test"
+
+
+def test_the_guide_knows_no_code_that_does_not_exist() -> None:
+    assert {code for named, _ in rows() for code in named} - codes() == set()
+
+
+def test_each_row_says_what_it_means_what_happens_and_what_to_do() -> None:
+    assert [named for named, rest in rows() if len(rest) != 3 or not all(cell.strip(" |") for cell in rest)] == []

@@ -12,7 +12,10 @@ from trees.compose import first_that_works, if_possible, steps, until_failure
 from trees.cycle import cycle, observation
 from trees.errands import drive
 
-HELP_WITH = ("REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "ESTOP", "LEAF_EXCEPTION")
+HELP_WITH = (
+    "REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "DISK_FULL", "SPOOL_FAILED", "DEVICE_FORGOT",
+    "DRIVER_EXCEPTION", "ESTOP", "LEAF_EXCEPTION",
+)  # fmt: skip
 """Codes of what a person at the robot may be able to put right."""
 
 

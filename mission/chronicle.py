@@ -85,19 +85,20 @@ class Chronicle:
         self._sensed = live
         return live
 
-    def begin(self, kind: str, name: str, start: Callable[[], Job[T]]) -> Job[T]:
+    def begin(self, kind: str, name: str, start: Callable[[], Job[T]], acts: bool = False) -> Job[T]:
         """Begin a job, or tell its outcome if it is known.
 
         Args:
             kind, name: what, of what; stable over restarts.
-            start: acts; called after the job is written down.
+            start: begins it; called after the job is written down.
+            acts: whether it moves the world, so that it must be on the disk before.
 
         Raises:
             FailureError: ``RESUME_DIVERGED`` when the tree begins another job than it did before.
         """
         if not self.telling:
             world = json.dumps(to_json(self._sensed))
-            return _LivedJob(self, lambda: self._ledger.begin(kind, name, world, self.now()), start)
+            return _LivedJob(self, lambda: self._ledger.begin(kind, name, world, self.now(), acts), start)
         row = self._told[self._next]
         if (row.kind, row.name) != (kind, name):
             # Kept as well as raised: a leaf makes an ordinary failure of what its job raises.

@@ -48,7 +48,7 @@ def check(run: RunFolder) -> Verdict:
     finally:
         ledger.close()
     lost = tuple(words for receipt in receipts if (words := _fault(run.scan_file(receipt.scan_id), receipt)))
-    left_over = tuple(str(path) for path in sorted(run.path.rglob("*.partial*")))
+    left_over = tuple(str(path) for path in sorted(run.path.rglob("*.part*")))
     return Verdict(damage, lost, left_over, len(receipts))
 
 

@@ -1,8 +1,9 @@
 """The mission's durable memory: every event, and every job from before it was begun to its outcome, in one SQLite file.
 
-A job's row is on the disk before anybody acts on it, and its outcome before anybody believes it. So whatever instant
+What moves the world is on the disk before it is done, and with it all that was written before. So whatever instant
 the executive dies at, the ledger tells which acts may have happened, and :mod:`mission.chronicle` asks for them again
-by the same names.
+by the same names. All else is written at once, which outlives a process that is killed, but not waited for: what a
+power cut takes of it, since the last act, is found out or computed again.
 """
 
 import hashlib
@@ -71,7 +72,6 @@ class Ledger:
             # Before WAL: an exclusive WAL needs no shared memory, and turns a second executive away at once.
             self._db.execute("PRAGMA locking_mode=EXCLUSIVE")
             self._db.execute("PRAGMA journal_mode=WAL")
-            self._db.execute("PRAGMA synchronous=FULL")
             self._open()
         except sqlite3.OperationalError as error:
             code = "LEDGER_IN_USE" if "locked" in str(error) else "LEDGER_BAD"
@@ -99,9 +99,9 @@ class Ledger:
 
     # --- jobs ---------------------------------------------------------------------------------------------------------
 
-    def begin(self, kind: str, name: str, world: str, at: float) -> int:
-        """Note durably that a job is about to be begun; its number."""
-        with self._durably():
+    def begin(self, kind: str, name: str, world: str, at: float, acts: bool = True) -> int:
+        """Note that a job is about to be begun, durably if it ``acts`` on the world; its number."""
+        with self._written(durably=acts):
             cursor = self._db.execute(
                 "INSERT INTO job (kind, name, world, begun) VALUES (?, ?, ?, ?)", (kind, name, world, at)
             )
@@ -109,8 +109,8 @@ class Ledger:
         return cursor.lastrowid
 
     def end(self, seq: int, how: str, outcome: str, at: float) -> None:
-        """Note durably how a job ended; a job ends once."""
-        with self._durably():
+        """Note how a job ended; a job ends once."""
+        with self._written():
             self._db.execute(
                 "UPDATE job SET ended = ?, how = ?, outcome = ? WHERE seq = ? AND ended IS NULL",
                 (at, how, outcome, seq),
@@ -135,17 +135,17 @@ class Ledger:
 
     def note(self, name: str, value: str) -> None:
         """Keep a fact durably, instead of what it was before."""
-        with self._durably():
+        with self._written(durably=True):
             self._db.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (name, value))
 
     # --- events -------------------------------------------------------------------------------------------------------
 
     def append(self, events: Sequence[str]) -> None:
-        """Add events, JSON, durably, each chained to the one before by its hash."""
+        """Add events, JSON, each chained to the one before by its hash."""
         if not events:
             return
         last = self._last_hash
-        with self._durably():
+        with self._written():
             for body in events:
                 last = chained(last, body)
                 self._db.execute("INSERT INTO event (body, hash) VALUES (?, ?)", (body, last))
@@ -166,14 +166,15 @@ class Ledger:
         return found
 
     @contextmanager
-    def _durably(self) -> Iterator[None]:
-        """One transaction: all of it is on the disk when the block is left, or none of it ever is.
+    def _written(self, durably: bool = False) -> Iterator[None]:
+        """One transaction: all of it is written when the block is left, or none of it ever is.
 
         Raises:
             FailureError: ``DISK_FULL``, which passes when there is room again; ``IO_ERROR``, which does not.
         """
         with self._lock:
             try:
+                self._db.execute(f"PRAGMA synchronous={'FULL' if durably else 'NORMAL'}")
                 self._db.execute("BEGIN IMMEDIATE")
                 yield
                 self._db.execute("COMMIT")

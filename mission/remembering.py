@@ -47,7 +47,10 @@ class RememberedScanner:
         return self._scanner.info()
 
     def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> Job[ScanReceipt]:
-        return self._chronicle.begin("take", scan_id, lambda: self._scanner.take(scan_id, settings, odom_from_base))
+        def order() -> Job[ScanReceipt]:
+            return self._scanner.take(scan_id, settings, odom_from_base)
+
+        return self._chronicle.begin("take", scan_id, order, acts=True)
 
     def fetch(self, receipt: ScanReceipt, destination: Path) -> Job[Path]:
         return self._chronicle.begin("fetch", receipt.scan_id, lambda: self._scanner.fetch(receipt, destination))
@@ -67,7 +70,7 @@ class RememberedBase:
         return self._chronicle.sense(self._base.state())
 
     def drive(self, goal: DriveGoal) -> Job[DriveReport]:
-        return self._chronicle.begin("drive", goal.goal_id, lambda: self._base.drive(goal))
+        return self._chronicle.begin("drive", goal.goal_id, lambda: self._base.drive(goal), acts=True)
 
     def stop(self) -> Job[None]:
         return self._base.stop()

@@ -40,9 +40,9 @@ class MortalLedger(Ledger):
         self._dies_at = dies_at
         self._after = after
 
-    def begin(self, kind: str, name: str, world: str, at: float) -> int:
+    def begin(self, kind: str, name: str, world: str, at: float, acts: bool = True) -> int:
         self._live_through(before=True)
-        seq = super().begin(kind, name, world, at)
+        seq = super().begin(kind, name, world, at, acts)
         self._live_through(before=False)
         return seq
 

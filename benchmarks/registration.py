@@ -8,10 +8,10 @@ is busy for all of them. A second table compares the searches without a trustwor
 
 import argparse
 import multiprocessing
-import resource
 import time
 from collections.abc import Callable, Iterable
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -152,14 +152,17 @@ def peak_memory(name: str, views: Iterable[Placed]) -> float:
 
 def _peak_of(name: str, known: Points, new: Points) -> float:
     CONTENDERS[name](known[::50], new[::50], np.eye(4))
-    before = _resident()
+    # Linux forgets the peak so far when asked to.
+    Path("/proc/self/clear_refs").write_text("5")
+    before = _status("VmRSS")
     CONTENDERS[name](known, new, np.eye(4))
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
+    return _status("VmHWM") - before
 
 
-def _resident() -> float:
-    with open("/proc/self/statm") as file:  # noqa: PTH123
-        return int(file.read().split()[1]) * resource.getpagesize() / 2**20
+def _status(field: str) -> float:
+    """A figure of this process in megabytes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(field + ":")) / 1024
 
 
 def _thinned_by_open3d(points: Points, voxel: float) -> o3d.geometry.PointCloud:

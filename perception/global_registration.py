@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from perception import transforms
 from perception.failure import FailureError
 from perception.findings import Registration
-from perception.judgement import NEAR_ODOMETRY, RegistrationLimits, is_held
+from perception.judgement import NEAR_ODOMETRY, RegistrationLimits, is_faultless, is_held
 from perception.registration import Reference, plausibility, register, settle
 from perception.surfels import Surface, Surfels
 from perception.transforms import Matrix
@@ -28,6 +28,7 @@ _SAMPLES = 1200
 _REACH = 15.0
 _HYPOTHESES = 24
 _FINISHED = 6
+_FAULTLESS_SHARE = 0.6
 _RIVAL_SCORE = 0.6
 
 
@@ -55,14 +56,15 @@ def register_globally(
     """
     hypotheses = _hypotheses(source.surfels, reference.surfels, near, radius, yaw)
     found: list[Registration] = []
-    for rest in _hollows(source, reference, hypotheses)[:_FINISHED]:
+    for rest in _hollows(source, reference, hypotheses):
         result = register(source, reference, rest.map_from_scanner, "global", starts=(1,))
         if all(not _same(result, other) for other in found):
-            found.append(result)
+            found = sorted([*found, result], key=plausibility, reverse=True)
+            # The rest settled in less plausible places, so two that fit alike are enough to know.
+            _refuse_rivals(found[0], found[1:], rival)
     if not found:
         raise FailureError("REG_DIVERGED", "there is no wall to search along", surfels=len(source.surfels))
-    best, *others = sorted(found, key=plausibility, reverse=True)
-    _refuse_rivals(best, others, rival)
+    best = found[0]
     correction_m, correction_rad = transforms.difference(near, best.map_from_scanner)
     return replace(best, correction_m=correction_m, correction_rad=correction_rad)
 
@@ -95,15 +97,12 @@ def challenge(
         distance, angle = transforms.difference(guess, rest.map_from_scanner)
         if distance <= radius and angle <= yaw and not _same(rest, found):
             others.append(register(source, reference, rest.map_from_scanner, found.method, starts=(1,)))
-        if len(others) == _FINISHED:
-            break
     others = [other for other in others if not _same(other, found)]
     _refuse_rivals(found, sorted(others, key=plausibility, reverse=True), rival)
 
 
 def _refuse_rivals(best: Registration, others: list[Registration], rival: float) -> None:
-    # A pose that slides or turns freely is not found but left where it was: it does not speak against one that is held.
-    rivals = [r for r in others if plausibility(r) >= rival * plausibility(best) and (is_held(r) or not is_held(best))]
+    rivals = [other for other in others if _is_rival(other, best, rival)]
     if rivals:
         distance, angle = transforms.difference(best.map_from_scanner, rivals[0].map_from_scanner)
         raise FailureError(
@@ -115,14 +114,30 @@ def _refuse_rivals(best: Registration, others: list[Registration], rival: float)
         )
 
 
+def _is_rival(other: Registration, best: Registration, rival: float) -> bool:
+    """Whether another pose fits about as well, or fits without a fault although it overlaps less.
+
+    The way that a scan overlaps most is not the likelier for it: turned about, it often covers more of what is known.
+    """
+    share = plausibility(other) / max(plausibility(best), 1e-9)
+    if share >= _FAULTLESS_SHARE and is_faultless(other):
+        return True
+    # A pose that slides or turns freely is not found but left where it was: it does not speak against one that is held.
+    return share >= rival and (is_held(other) or not is_held(best))
+
+
 def _hollows(source: Surface, reference: Reference, hypotheses: list[Matrix]) -> list[Registration]:
-    """The different places where a scan comes to rest from the hypotheses, the most plausible first."""
+    """The different places where a scan comes to rest from the hypotheses, the most plausible first.
+
+    At most ``_FINISHED``, and none that is less than half as plausible as the first.
+    """
     rests: list[Registration] = []
     for hypothesis in hypotheses:
         rest = settle(source, reference, hypothesis)
         if all(not _same(rest, other) for other in rests):
             rests.append(rest)
-    return sorted(rests, key=plausibility, reverse=True)
+    rests.sort(key=plausibility, reverse=True)
+    return [rest for rest in rests[:_FINISHED] if plausibility(rest) >= 0.5 * plausibility(rests[0])]
 
 
 def _same(a: Registration, b: Registration) -> bool:

@@ -50,6 +50,15 @@ def is_held(registration: Registration, limits: RegistrationLimits = Registratio
     return registration.min_eigenvalue >= limits.min_eigenvalue and registration.turn_hold >= limits.min_turn
 
 
+def is_faultless(registration: Registration) -> bool:
+    """Whether :func:`judge` finds nothing against a registration but what odometry may have to say."""
+    try:
+        judge(registration, (np.inf, np.inf))
+    except FailureError:
+        return False
+    return True
+
+
 def judge(
     registration: Registration,
     expected_error: tuple[float, float],

@@ -46,6 +46,7 @@ LEVELS = (Level(0.5, 2000, 25), Level(0.2, 3000, 20), Level(0.08, 5000, 15), Lev
 
 _OFFSET_DAMPING = 1e-3
 _WORTH_A_THREAD = 4000
+_SETTLING = 1500
 
 
 class Reference:
@@ -141,9 +142,8 @@ def register(
 
 def settle(source: Surface, reference: Reference, guess: Matrix) -> Registration:
     """Where a scan comes to rest from a guess, to some centimetres and quickly: to tell one hollow from another."""
-    coarse = LEVELS[:2]
-    few = _shuffled(source).pick(np.s_[: coarse[-1].samples])
-    pose = _descend(few, reference, guess, coarse)
+    few = _shuffled(source).pick(np.s_[:_SETTLING])
+    pose = _descend(few, reference, guess, LEVELS[:2])
     return _assess(Surface(few, source.sight), reference, guess, pose, "settled")
 
 

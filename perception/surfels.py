@@ -99,7 +99,7 @@ def surface_of(points: NDArray[np.floating], spacing: float = SPACING) -> Surfac
     points = np.ascontiguousarray(points, np.float32)
     surfels = _surfels(thinning.voxel_means(points, _GRAIN), spacing)
     # A degree of the view holds a hundred beams of a fine scan; a third of them says as much.
-    cells, ranges = thinning.view_cells(points[:: len(points) // _VIEW_POINTS + 1])
+    cells, ranges = thinning.view_cells(np.ascontiguousarray(points[:: len(points) // _VIEW_POINTS + 1]))
     return Surface(surfels.pick(~_transparent(surfels, cells, ranges)), _sight(cells, ranges))
 
 

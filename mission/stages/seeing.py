@@ -39,12 +39,15 @@ def label_space(
     before, known = _labelled_before(file, scans) if file.exists() else (None, set())
     space = voxels.room_space(shape, voxel, before)
     grown = None if before is None else voxels.added(space, before)
-    for name, pose in selection.of_room(scans, shapely.Polygon(shape.contour)):
+    room = shapely.Polygon(shape.contour)
+    looked_at = {name for name, _ in selection.of_room(scans, room)}
+    unknown = (looked_at | selection.taken_in(scans, room)) - known
+    for name, pose in scans:
         if name == scans[-1][0]:
             space = voxels.label(space, library.scan(name), matrix(pose), labeller)
-        elif name not in known:
+        elif name in unknown:
             space = voxels.label(space, library.coarse(name), matrix(pose), labeller)
-        elif grown is not None and grown.any():
+        elif name in looked_at and grown is not None and grown.any():
             space = voxels.label(space, library.coarse(name), matrix(pose), labeller, within=grown)
     _save_labelled(library.run.voxel_file(room_id, cycle), space, scans)
     return voxels.counts(space)

@@ -60,7 +60,7 @@ def _placed(library: Library, name: str, reference: PlacedScans) -> list[list[fl
     with suppress(FailureError):
         placing.register_scan(library, name, guess, reference, error_m=0.2, error_rad=0.1)
     with suppress(FailureError):
-        placing.register_globally(library, name, guess, reference, error_m=0.5, error_rad=np.pi)
+        placing.register_globally(library, name, guess, reference, error_m=0.5, error_rad=0.5)
     return guess
 
 

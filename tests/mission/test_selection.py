@@ -19,7 +19,7 @@ def names(scans):
 
 def test_few_scans_are_all_taken():
     scans = scans_at(*[(x, 1) for x in range(5)])
-    assert of_room(scans, CORRIDOR, most=5) == scans
+    assert of_room(scans, CORRIDOR, enough=5) == scans
 
 
 def test_of_many_in_a_room_those_are_taken_that_are_spread_over_it_with_the_newest():
@@ -32,12 +32,14 @@ def test_of_many_in_a_room_those_are_taken_that_are_spread_over_it_with_the_newe
 
 def test_scans_of_the_room_come_before_those_of_its_neighbours_and_near_ones_before_far_ones():
     far, near, own = [(x, 30) for x in range(5)], [(x, 6) for x in range(5)], [(10.0 * n, 1) for n in range(4)]
-    chosen = of_room(scans_at(*far, *near, *own), CORRIDOR, most=6)
-    assert set(names(chosen)) > {"S10", "S11", "S12", "S13"}
+    scans = scans_at(*far, *near, *own)
+    chosen = of_room(scans, CORRIDOR, enough=6)
+    assert len(chosen) == 6 and set(names(chosen)) > {"S10", "S11", "S12", "S13"}
     assert all(pose[1][3] < 10 for _, pose in chosen)
+    assert names(of_room(scans, CORRIDOR, enough=4)) == ["S10", "S11", "S12", "S13"]
 
 
 def test_before_a_room_has_a_contour_the_scans_nearest_to_its_seed_are_taken():
     scans = scans_at(*[(x, 0) for x in range(20)], (3.0, 0.5))
-    chosen = of_room(scans, shapely.Point(3.0, 1.0), most=4)
+    chosen = of_room(scans, shapely.Point(3.0, 1.0), enough=4)
     assert all(abs(pose[0][3] - 3.0) <= 2.0 for _, pose in chosen)

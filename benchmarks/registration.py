@@ -11,6 +11,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterable
 from itertools import combinations
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -145,18 +146,27 @@ def _row(name: str, runs: NDArray[np.float64], own: NDArray[np.float64], peak: f
 
 def peak_memory(name: str, views: Iterable[Placed]) -> float:
     """Megabytes that a contender needs over the two clouds, in a process of its own."""
-    known, new = (view.scan.points for view in views)
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_peak_of, (name, known, new))
+    known, new = views
+    truth = transforms.inverse(known.map_from_scanner) @ new.map_from_scanner
+    given = known.scan.points, new.scan.points, odometry_guess(truth, np.random.default_rng(0))
+    spawning = multiprocessing.get_context("spawn")
+    answer, telling = spawning.Pipe(duplex=False)
+    process = spawning.Process(target=_tell_peak, args=(name, *given, telling), daemon=True)
+    process.start()
+    telling.close()
+    peak: float = answer.recv()
+    # Open3D's threads may keep a process from ending by itself.
+    process.kill()
+    return peak
 
 
-def _peak_of(name: str, known: Points, new: Points) -> float:
-    CONTENDERS[name](known[::50], new[::50], np.eye(4))
+def _tell_peak(name: str, known: Points, new: Points, guess: Matrix, answer: Connection) -> None:
+    CONTENDERS[name](known[::50], new[::50], guess)
     # Linux forgets the peak so far when asked to.
     Path("/proc/self/clear_refs").write_text("5")
     before = _status("VmRSS")
-    CONTENDERS[name](known, new, np.eye(4))
-    return _status("VmHWM") - before
+    CONTENDERS[name](known, new, guess)
+    answer.send(_status("VmHWM") - before)
 
 
 def _status(field: str) -> float:

@@ -229,17 +229,36 @@ def _fitted(side: Line, u: Vector, d: Vector) -> Line:
     """The side on the line through wall points along (u) and outwards (d), by least squares as tolerance shrinks."""
     slope, offset = 0.0, float(np.median(d))
     for tolerance in (0.03, 0.015, 0.01):
-        near = np.abs(d - offset - slope * u) < tolerance
-        if near.sum() < 10 or np.ptp(u[near]) < 0.3 * side.length:
+        count, span, closer = _closer_line(u, d, slope, offset, tolerance)
+        if count < 10 or span < 0.3 * side.length:
             break
-        centre, middle = float(u[near].mean()), float(d[near].mean())
-        off_centre = u[near] - centre
-        slope = float(off_centre @ (d[near] - middle) / (off_centre @ off_centre))
-        offset = middle - slope * centre
+        slope, offset = closer
     if abs(slope) * side.length > INNER + OUTER:
         slope, offset = 0.0, float(np.median(d))
     ends = (side.start + side.outward * offset, side.end + side.outward * (offset + slope * side.length))
     return Line(*ends, wall=True)
+
+
+@njit(cache=True)
+def _closer_line(
+    u: Vector, d: Vector, slope: float, offset: float, tolerance: float
+) -> tuple[int, float, tuple[float, float]]:
+    """Points within ``tolerance`` of a line: number, extent along u, and the line through them by least squares."""
+    count, low, high = 0, np.inf, -np.inf
+    sum_u, sum_d, sum_uu, sum_ud = 0.0, 0.0, 0.0, 0.0
+    for n in range(len(u)):
+        off = d[n] - offset - slope * u[n]
+        if abs(off) < tolerance:
+            count += 1
+            low, high = min(low, u[n]), max(high, u[n])
+            sum_u += u[n]
+            sum_d += off
+            sum_uu += u[n] * u[n]
+            sum_ud += u[n] * off
+    spread = count * sum_uu - sum_u * sum_u
+    turn = (count * sum_ud - sum_u * sum_d) / spread if spread > 0 else 0.0
+    shift = (sum_d - turn * sum_u) / max(count, 1)
+    return count, high - low, (slope + turn, offset + shift)
 
 
 def _simplified(sides: list[Line]) -> list[Line]:

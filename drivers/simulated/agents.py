@@ -71,7 +71,7 @@ def run_base_agent(
 ) -> None:
     """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`."""
     building = read_world(world)
-    _warm_up(building)
+    warm_up(building)
     base = SimulatedBase(building, scenario=_scenario(scenario), seed=seed, truth=TruthLog(truth))
     channel = StanceServer(base.stance, plant)
     ended = threading.Event()
@@ -85,8 +85,12 @@ def run_base_agent(
         channel.close()
 
 
-def _warm_up(world: World) -> None:
-    """Drive a throw-away base a little: what is compiled at its first use must not cost the first goal its deadline."""
+def warm_up(world: World) -> None:
+    """Drive a throw-away base a little, before any real one may move.
+
+    What is compiled at its first use would cost the first goal its deadline, and hold the control loop for seconds
+    while the wheels turn.
+    """
     nowhere = Grid(np.full((120, 120), Cell.FREE, np.uint8), (-3.0, -3.0), 0.05)
     base = SimulatedBase(world)
     base.permit(math.inf)

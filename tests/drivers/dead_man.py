@@ -18,6 +18,7 @@ from pathlib import Path
 from drivers.agent import Agent, base_agent
 from drivers.interfaces import DriveGoal
 from drivers.lease import STALE_S, LeaseKeeper
+from drivers.simulated.agents import warm_up
 from drivers.simulated.base import SimulatedBase
 from drivers.simulated.clock import ScaledClock
 from drivers.simulated.world import World
@@ -36,6 +37,7 @@ class WatchedBase(SimulatedBase):
     """A simulated base on real time that notes when it is permitted to move and what it is ordered."""
 
     def __init__(self, world: World, speed: float = 1.0) -> None:
+        warm_up(world)
         super().__init__(world)
         self.permits: list[tuple[float, float]] = []
         self.ordered: list[str] = []

@@ -24,7 +24,7 @@ import zmq
 
 from benchmarks.data import STATIONS, placed
 from drivers import scan_file
-from drivers.interfaces import ScannerInfo, ScanSettings
+from drivers.interfaces import ScannerInfo, ScanSettings, SelfTest
 from drivers.jobs import Done, Failed, Job, Outcome, Running
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.scanner_client import ScannerClient
@@ -57,6 +57,9 @@ class ReadyScanner:
 
     def info(self) -> ScannerInfo:
         return ScannerInfo("ready", "0001", 1)
+
+    def self_test(self) -> SelfTest:
+        return SelfTest()
 
     def start(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> None:
         self._ended.send(time.monotonic())

@@ -7,7 +7,7 @@ several threads, and may raise :class:`~perception.failure.FailureError`, which 
 from dataclasses import dataclass
 from typing import Protocol
 
-from drivers.interfaces import BaseInfo, DriveGoal, DriveReport, ScannerInfo, ScanSettings
+from drivers.interfaces import BaseInfo, DriveGoal, DriveReport, ScannerInfo, ScanSettings, SelfTest
 from drivers.jobs import Outcome
 from perception.scan import Scan
 from perception.transforms import Matrix
@@ -17,6 +17,10 @@ class ScannerDevice(Protocol):
     """A scanner at hand."""
 
     def info(self) -> ScannerInfo: ...
+
+    def self_test(self) -> SelfTest:
+        """What the instrument's monitor says just now; room for scans is added by the agent, which keeps them."""
+        ...
 
     def start(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> None:
         """Begin a scan. Does nothing when this name is already being taken or is done."""

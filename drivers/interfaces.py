@@ -1,6 +1,7 @@
 """What the executive may ask of a scanner and of a base, whatever stands behind them."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -37,12 +38,45 @@ class ScanReceipt:
 
 
 @dataclass(frozen=True)
+class ClockOffset:
+    """How far an agent's wall clock is ahead of this computer's, as a round trip shows it.
+
+    Args:
+        seconds: the estimate, negative for a clock that is behind.
+        uncertainty: seconds that the estimate may be wrong by at most: half the round trip.
+    """
+
+    seconds: float = 0.0
+    uncertainty: float = 0.0
+
+    @property
+    def certain(self) -> float:
+        """Seconds by which the clocks differ at least, whichever is ahead."""
+        return max(abs(self.seconds) - self.uncertainty, 0.0)
+
+
+@dataclass(frozen=True)
 class ScannerInfo:
-    """Who the scanner is."""
+    """Who the scanner is; ``clock`` is measured by whoever asks, so it is no part of the identity."""
 
     model: str
     serial: str
     protocol: int
+    clock: ClockOffset = field(default=ClockOffset(), compare=False)
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """What an instrument's own monitor says of it.
+
+    Args:
+        faults: what is wrong, each in words for the operator; none when it is fit to scan.
+        figures: what the monitor read, by name with the unit at its end, such as ``temperature_c``, ``tilt_deg``,
+            ``storage_free_gb``; which ones is the instrument's business.
+    """
+
+    faults: tuple[str, ...] = ()
+    figures: Mapping[str, float] = field(default_factory=dict)
 
 
 class Scanner(Protocol):
@@ -50,6 +84,10 @@ class Scanner(Protocol):
 
     def info(self) -> Job[ScannerInfo]:
         """Ask who answers; fails with ``AGENT_UNREACHABLE``."""
+        ...
+
+    def self_test(self) -> Job[SelfTest]:
+        """Ask whether the instrument is fit to scan; moves nothing. Fails with ``AGENT_UNREACHABLE``."""
         ...
 
     def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> Job[ScanReceipt]:
@@ -108,12 +146,16 @@ class Lease:
 
 @dataclass(frozen=True)
 class BaseInfo:
-    """Who the base is and how large: footprint is length x width in metres, centred on ``base_link``."""
+    """Who the base is and how large: footprint is length x width in metres, centred on ``base_link``.
+
+    ``clock`` as for :class:`ScannerInfo`.
+    """
 
     model: str
     serial: str
     protocol: int
     footprint: tuple[float, float]
+    clock: ClockOffset = field(default=ClockOffset(), compare=False)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from perception.failure import Failure, FailureError
 from perception.grids import Cell, Grid
 from perception.transforms import Matrix
 
-PROTOCOL = 2
+PROTOCOL = 3
 MAX_MESSAGE = 2 << 20
 """Bytes of the largest frame; sockets drop a peer that sends more."""
 CHUNK = 1 << 20
@@ -35,6 +35,8 @@ Name = Annotated[str, Meta(max_length=256)]
 Finite = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Count = Annotated[int, Meta(ge=0, le=MAX_SCAN)]
+WallClock = Annotated[float, Meta(ge=0.0, le=1e11)]
+"""Seconds since 1970, UTC, by the sender's own clock: to be compared, never to be obeyed."""
 LeaseNumber = tuple[Annotated[int, Meta(ge=0)], Annotated[int, Meta(ge=0)]]
 """Epoch and sequence of a :class:`drivers.interfaces.Lease`."""
 Nonce = Annotated[int, Meta(ge=0)]
@@ -184,6 +186,10 @@ class Identify(Query, frozen=True):
     """Who answers? ``ScannerIdentity`` or ``BaseIdentity``."""
 
 
+class SelfTest(Query, frozen=True):
+    """Is the instrument fit to scan? ``SelfTested``."""
+
+
 class Take(Command, frozen=True):
     """Take a scan: ``Pending``, or ``ScanDone`` when it exists."""
 
@@ -320,12 +326,29 @@ class Problem(Body, frozen=True):
 class ScannerIdentity(Body, frozen=True):
     model: Name
     serial: Name
+    wall_clock: WallClock
 
 
 class BaseIdentity(Body, frozen=True):
     model: Name
     serial: Name
     footprint: tuple[Finite, Finite]
+    wall_clock: WallClock
+
+
+class SelfTested(Body, frozen=True):
+    """:class:`drivers.interfaces.SelfTest` on the wire."""
+
+    faults: Annotated[list[Name], Meta(max_length=64)]
+    figures: Annotated[dict[Name, Finite], Meta(max_length=64)]
+
+    @classmethod
+    def of(cls, test: interfaces.SelfTest) -> "SelfTested":
+        figures = {name[:256]: float(value) for name, value in test.figures.items()}
+        return cls([fault[:256] for fault in test.faults], figures)
+
+    def value(self) -> interfaces.SelfTest:
+        return interfaces.SelfTest(tuple(self.faults), self.figures)
 
 
 class LeaseGranted(Body, frozen=True):
@@ -394,7 +417,7 @@ class Telemetry(Wire, frozen=True):
     owner: Name
 
 
-ScannerRequest = Identify | Take | ScanStatus | Abort | Release
+ScannerRequest = Identify | SelfTest | Take | ScanStatus | Abort | Release
 BulkRequest = Open | Read
 BaseRequest = Identify | AcquireLease | ReleaseLease | Beat | Drive | DriveStatus | Stop
 AnyReply = (
@@ -406,6 +429,7 @@ AnyReply = (
     | Problem
     | ScannerIdentity
     | BaseIdentity
+    | SelfTested
     | LeaseGranted
     | ScanDone
     | Manifest

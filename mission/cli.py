@@ -250,7 +250,7 @@ def doctor(
         typer.echo(json.dumps([asdict(finding) for finding in findings]))
     else:
         for finding in findings:
-            typer.echo(f"{'ok  ' if finding.good else 'FAIL'}  {finding.what}: {finding.found}")
+            typer.echo(f"{finding.mark:4}  {finding.what}: {finding.found}")
     raise typer.Exit(0 if all(finding.good for finding in findings) else 1)
 
 

@@ -47,6 +47,7 @@ class Display:
 
     def _tell(self, newest: dict[str, Any]) -> None:
         for kind in (
+            "doubts",
             "phase",
             "asked",
             "answered",
@@ -92,6 +93,8 @@ def panel(executive: Executive, newest: dict[str, Any]) -> Group:
 def line_of(event: dict[str, Any]) -> str:
     """One event in plain words."""
     match event["kind"]:
+        case "doubts":
+            return f"started all the same: {event['words']}"
         case "phase":
             return str(State(Phase(event["after"]), event["code"], event["message"]))
         case "asked":

@@ -88,6 +88,6 @@ def _agents(config: "SiteConfig") -> list[Finding]:
         drives = BaseClient(config.base, sockets=sockets_to(config, config.base))
     except FailureError as error:
         return [Finding("keys", False, str(error))]
-    scanner, base, state = meet(scans, drives, _PATIENCE_S)
+    answers = meet(scans, drives, _PATIENCE_S)
     drives.close()
-    return [*inspect(config, scanner, base, state, Path.cwd()), *lease(state)]
+    return [*inspect(config, answers, Path.cwd()), *lease(answers.state)]

@@ -4,12 +4,12 @@ import math
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from behaviours.services import Journal
 from behaviours.settings import Settings
-from drivers.interfaces import Base, BaseInfo, BaseState, Scanner, ScannerInfo
+from drivers.interfaces import Base, BaseInfo, BaseState, ClockOffset, Scanner, ScannerInfo, SelfTest
 from drivers.jobs import wait_for
 from mission.config import SiteConfig
 from mission.finding import Finding
@@ -21,6 +21,18 @@ _BYTES_A_BEAM = 40
 _SPARE_BYTES = 1e9
 _FIELD_OF_VIEW = math.radians(360) * math.radians(100)
 _MOST_BEAMS = 150e6
+CLOCK_DOUBT_S, CLOCK_LIMIT_S = 0.1, 1.0
+"""Scans carry the time of the scanner's clock, and the three logs are read side by side."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What each agent said when it was met, or why it said nothing."""
+
+    scanner: ScannerInfo | Failure
+    base: BaseInfo | Failure
+    state: BaseState | Failure
+    self_test: SelfTest | Failure
 
 
 class NoGoError(Exception):
@@ -38,57 +50,49 @@ def preflight(config: SiteConfig, scanner: Scanner, base: Base, journal: Journal
         UnreachableError: when an agent does not answer.
         NoGoError: when anything else is amiss.
     """
-    scanner_is, base_is, state = meet(scanner, base)
-    silent = [f"{name}: {answer}" for name, answer in (("scanner", scanner_is), ("base", base_is), ("base", state))
-              if isinstance(answer, Failure)]  # fmt: skip
+    met = meet(scanner, base)
+    needed = (("scanner", met.scanner), ("base", met.base), ("base", met.state))
+    silent = [f"{name}: {answer}" for name, answer in needed if isinstance(answer, Failure)]
     if silent:
         raise UnreachableError("; ".join(silent))
-    findings = inspect(config, scanner_is, base_is, state, folder)
+    findings = inspect(config, met, folder)
     journal.record("preflight", findings=[asdict(finding) for finding in findings])
-    for name, info in (("scanner", scanner_is), ("base", base_is)):
+    for name, info in (("scanner", met.scanner), ("base", met.base)):
         assert isinstance(info, ScannerInfo | BaseInfo)
         journal.record("agent", name=name, model=info.model, serial=info.serial, protocol=info.protocol)
+    doubts = [f"{finding.what}: {finding.found}" for finding in findings if finding.good and finding.doubtful]
+    if doubts:
+        journal.record("doubts", words="; ".join(doubts))
     against = [f"{finding.what}: {finding.found}" for finding in findings if not finding.good]
     if against:
         raise NoGoError("\n".join(against))
 
 
-def meet(
-    scanner: Scanner, base: Base, patience_s: float = PATIENCE_S
-) -> tuple[ScannerInfo | Failure, BaseInfo | Failure, BaseState | Failure]:
-    """Who the agents are, and the base's first telemetry; why not, for each that does not answer."""
-    # Both are asked before either is waited for: two silent agents cost no more patience than one.
-    scanner_says, base_says = scanner.info(), base.info()
+def meet(scanner: Scanner, base: Base, patience_s: float = PATIENCE_S) -> Answers:
+    """Who the agents are, the scanner's self-test, and the base's first telemetry."""
+    # All are asked before any is waited for: two silent agents cost no more patience than one.
+    scanner_says, base_says, test_says = scanner.info(), base.info(), scanner.self_test()
     scanner_is, base_is = wait_for(scanner_says, patience_s), wait_for(base_says, patience_s)
-    if isinstance(scanner_is, Failure) or isinstance(base_is, Failure):
-        return scanner_is, base_is, base.state() or _no_telemetry(0.0)
-    until = time.monotonic() + patience_s
-    while (state := base.state()) is None:
-        if time.monotonic() > until:
-            return scanner_is, base_is, _no_telemetry(patience_s)
-        time.sleep(0.02)
-    return scanner_is, base_is, state
+    # Whoever said who it is says the rest at once; of the others nothing more is waited for.
+    self_test = wait_for(test_says, 0.0 if isinstance(scanner_is, Failure) else patience_s)
+    silent = isinstance(scanner_is, Failure) or isinstance(base_is, Failure)
+    return Answers(scanner_is, base_is, _telemetry(base, 0.0 if silent else patience_s), self_test)
 
 
-def inspect(
-    config: SiteConfig,
-    scanner: ScannerInfo | Failure,
-    base: BaseInfo | Failure,
-    state: BaseState | Failure,
-    folder: Path,
-) -> list[Finding]:
+def inspect(config: SiteConfig, met: Answers, folder: Path) -> list[Finding]:
     """Everything that speaks for or against a start.
 
     Args:
-        scanner, base, state: as :func:`meet` gives them.
+        met: as :func:`meet` gives it.
         folder: where the run folder is, or will be.
     """
     return [
-        *_agent("scanner", scanner, config.scanner.serial),
-        *_agent("base", base, config.base.serial),
-        *_condition(config.settings, state),
+        *_agent("scanner", met.scanner, config.scanner.serial),
+        *([] if isinstance(met.scanner, Failure) else [_self_test(met.self_test)]),
+        *_agent("base", met.base, config.base.serial),
+        *_condition(config.settings, met.state),
         *_settings(config.settings),
-        *([] if isinstance(base, Failure) else _clearances(config.settings, base)),
+        *([] if isinstance(met.base, Failure) else _clearances(config.settings, met.base)),
         _disk(config.settings, folder),
     ]
 
@@ -106,6 +110,29 @@ def _agent(name: str, info: ScannerInfo | BaseInfo | Failure, serial: str) -> It
     expected = serial in ("", info.serial)
     found = f"{info.model} {info.serial}, protocol {info.protocol}"
     yield Finding(name, expected, found if expected else f"{found}; the site's configuration names {serial}")
+    yield _clock(name, info.clock)
+
+
+def _clock(name: str, clock: ClockOffset) -> Finding:
+    """What the round trip leaves in doubt is not held against a clock."""
+    found = f"{clock.seconds:+.3f} s from this computer's, ± {clock.uncertainty:.3f} s"
+    if clock.certain > CLOCK_DOUBT_S:
+        found += "; let both computers take their time from one server (chrony)"
+    return Finding(f"{name}'s clock", clock.certain <= CLOCK_LIMIT_S, found, doubtful=clock.certain > CLOCK_DOUBT_S)
+
+
+def _self_test(found: SelfTest | Failure) -> Finding:
+    if isinstance(found, Failure):
+        return Finding("scanner's self-test", False, str(found))
+    figures = ", ".join(f"{name} {value:g}" for name, value in found.figures.items())
+    if not found.faults:
+        return Finding("scanner's self-test", True, f"passed; {figures}")
+    faults = "; ".join(found.faults)
+    return Finding(
+        "scanner's self-test",
+        False,
+        f"{faults} ({figures}); mend that at the instrument, or switch it off and on, and look again",
+    )
 
 
 def _condition(settings: Settings, state: BaseState | Failure) -> Iterator[Finding]:
@@ -166,5 +193,10 @@ def beams(settings: Settings) -> float:
     return _FIELD_OF_VIEW / math.radians(settings.scanning.step_deg) ** 2
 
 
-def _no_telemetry(waited_s: float) -> Failure:
-    return Failure("BASE_LOST", f"no telemetry within {waited_s:.0f} s")
+def _telemetry(base: Base, patience_s: float) -> BaseState | Failure:
+    until = time.monotonic() + patience_s
+    while (state := base.state()) is None:
+        if time.monotonic() >= until:
+            return Failure("BASE_LOST", f"no telemetry within {patience_s:.0f} s")
+        time.sleep(0.02)
+    return state

@@ -17,6 +17,7 @@ from drivers.interfaces import (
     ScannerInfo,
     ScanReceipt,
     ScanSettings,
+    SelfTest,
 )
 from drivers.jobs import Job
 from mission.chronicle import Chronicle
@@ -45,6 +46,9 @@ class RememberedScanner:
 
     def info(self) -> Job[ScannerInfo]:
         return self._scanner.info()
+
+    def self_test(self) -> Job[SelfTest]:
+        return self._scanner.self_test()
 
     def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> Job[ScanReceipt]:
         def order() -> Job[ScanReceipt]:

@@ -1,12 +1,13 @@
 """The simulated scanner as its agent sees it: scans by name that take their time, and sometimes go wrong."""
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.interfaces import ScannerInfo, ScanSettings
+from drivers.interfaces import ScannerInfo, ScanSettings, SelfTest
 from drivers.jobs import Done, Failed, Outcome, Running
 from drivers.messages import PROTOCOL
 from drivers.simulated.clock import Clock
@@ -21,6 +22,7 @@ from perception.transforms import Matrix
 
 _KEPT = 3
 _TRUNCATED_SHARE = 0.1
+_WARM_C = 31.0
 _STILL_M, _STILL_RAD = 0.005, 0.002
 
 
@@ -65,11 +67,21 @@ class SimulatedScannerDevice:
         self._script = (
             ["fail"] * faults.fail_first + ["hang"] * faults.hang_first + ["truncate"] * faults.truncate_first
         )
+        self._complaints = faults.self_test
         self._takings: dict[str, _Taking] = {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="scanner")
 
     def info(self) -> ScannerInfo:
         return ScannerInfo(self._scanner.profile.model, f"SIM-{self._scanner.seed:04d}", PROTOCOL)
+
+    def self_test(self) -> SelfTest:
+        """What is scripted; the tilt is that of the floor it stands on, where anybody can tell."""
+        figures = {"temperature_c": _WARM_C}
+        try:
+            tilt = np.hypot(*self._stance().tilt)
+        except FailureError:
+            return SelfTest(("the inclinometer does not answer", *self._complaints), figures)
+        return SelfTest(self._complaints, {**figures, "tilt_deg": round(math.degrees(tilt), 3)})
 
     def start(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> None:
         """Begin a scan; nothing happens where one of this name is under way or done. One that failed is taken anew.

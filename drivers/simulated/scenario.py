@@ -16,11 +16,13 @@ class ScannerFaults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         fail_first: so many scans end with ``SCAN_FAILED``.
         hang_first: so many scans after those never end.
         truncate_first: so many scans after those keep only a tenth of their points.
+        self_test: what the instrument's monitor complains of, in words.
     """
 
     fail_first: int = 0
     hang_first: int = 0
     truncate_first: int = 0
+    self_test: tuple[str, ...] = ()
 
 
 class BaseFaults(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -16,7 +16,6 @@ from drivers.messages import (
     DriveDone,
     DriveStatus,
     Goal,
-    Identify,
     Late,
     LeaseGranted,
     Ok,
@@ -29,6 +28,7 @@ from drivers.messages import (
 from drivers.wire.client import Link, Patience
 from drivers.wire.codec import encode
 from drivers.wire.endpoints import Endpoints
+from drivers.wire.introduction import introduced
 from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
 from perception.failure import FailureError
@@ -66,8 +66,8 @@ class BaseClient:
 
         def run(progress: Progress) -> BaseInfo:
             with self._link(progress) as link:
-                identity = link.ask(Identify(), BaseIdentity)
-            return BaseInfo(identity.model, identity.serial, PROTOCOL, identity.footprint)
+                identity, clock = introduced(link, BaseIdentity)
+            return BaseInfo(identity.model, identity.serial, PROTOCOL, identity.footprint, clock)
 
         return BackgroundJob(run, "base info")
 

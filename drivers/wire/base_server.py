@@ -1,6 +1,7 @@
 """A base behind the wire: one owner, goals by name, each driven at most once, and a stop that always gets through."""
 
 import threading
+import time
 from collections.abc import Callable
 
 from drivers.devices import BaseDevice
@@ -49,7 +50,7 @@ class BaseService:
             case Identify():
                 info = self._device.info()
                 length, width = info.footprint
-                return BaseIdentity(info.model, info.serial, (float(length), float(width)))
+                return BaseIdentity(info.model, info.serial, (float(length), float(width)), time.time())
             case AcquireLease(owner):
                 return self._acquire(owner)
             case ReleaseLease(lease):

@@ -24,6 +24,7 @@ _MISSION = frozenset({Role.EXECUTIVE})
 
 PERMITTED: Mapping[type[messages.Body], frozenset[Role]] = {
     messages.Identify: _ALL,
+    messages.SelfTest: _ALL,
     messages.ScanStatus: _ALL,
     messages.DriveStatus: _ALL,
     messages.Open: _HANDS,

@@ -3,13 +3,13 @@
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.interfaces import ScannerInfo, ScanReceipt, ScanSettings
+from drivers import messages
+from drivers.interfaces import ScannerInfo, ScanReceipt, ScanSettings, SelfTest
 from drivers.jobs import BackgroundJob, Job, Progress
 from drivers.messages import (
     PROTOCOL,
     Abort,
     Body,
-    Identify,
     Ok,
     Pending,
     Pose,
@@ -17,11 +17,13 @@ from drivers.messages import (
     ScanDone,
     ScannerIdentity,
     ScanStatus,
+    SelfTested,
     Take,
     Unknown,
 )
 from drivers.wire.client import Link, Patience
 from drivers.wire.endpoints import Endpoints
+from drivers.wire.introduction import introduced
 from drivers.wire.sockets import Sockets
 from drivers.wire.transfer import fetch
 from perception.failure import FailureError
@@ -50,10 +52,19 @@ class ScannerClient:
 
         def run(progress: Progress) -> ScannerInfo:
             with self._control(progress) as link:
-                identity = link.ask(Identify(), ScannerIdentity)
-            return ScannerInfo(identity.model, identity.serial, PROTOCOL)
+                identity, clock = introduced(link, ScannerIdentity)
+            return ScannerInfo(identity.model, identity.serial, PROTOCOL, clock)
 
         return BackgroundJob(run, "scanner info")
+
+    def self_test(self) -> Job[SelfTest]:
+        """See :meth:`drivers.interfaces.Scanner.self_test`."""
+
+        def run(progress: Progress) -> SelfTest:
+            with self._control(progress) as link:
+                return link.ask(messages.SelfTest(), SelfTested).value()
+
+        return BackgroundJob(run, "scanner self-test")
 
     def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> Job[ScanReceipt]:
         """See :meth:`drivers.interfaces.Scanner.take`. An agent that restarted meanwhile is asked to begin again."""

@@ -1,7 +1,9 @@
 """A scanner behind the wire: scans by name, each taken at most once and kept until it was fetched."""
 
 import math
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -23,6 +25,8 @@ from drivers.messages import (
     ScannerIdentity,
     ScannerRequest,
     ScanStatus,
+    SelfTest,
+    SelfTested,
     Take,
     Unknown,
 )
@@ -48,7 +52,9 @@ class ScannerService:
         match request:
             case Identify():
                 info = self._device.info()
-                return ScannerIdentity(info.model, info.serial)
+                return ScannerIdentity(info.model, info.serial, time.time())
+            case SelfTest():
+                return self._self_test()
             case Take():
                 return self._take(request)
             case ScanStatus(scan_id):
@@ -72,6 +78,10 @@ class ScannerService:
         """Stop the scanner."""
         for scan_id in self._errands.cancel_all():
             self._device.abort(scan_id)
+
+    def _self_test(self) -> SelfTested:
+        found = self._device.self_test()
+        return SelfTested.of(replace(found, figures={**found.figures, "storage_free_gb": self._spool.free / 1e9}))
 
     def _take(self, request: Take) -> Body:
         status = self._status(request.scan_id)

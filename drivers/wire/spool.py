@@ -32,9 +32,14 @@ class Spool:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
 
+    @property
+    def free(self) -> int:
+        """Bytes that may still be written."""
+        return shutil.disk_usage(self._folder).free
+
     def require_room(self, size: int) -> None:
         """Raise ``DISK_FULL`` unless so many bytes are free."""
-        free = shutil.disk_usage(self._folder).free
+        free = self.free
         if free < size:
             raise FailureError(
                 "DISK_FULL",

@@ -21,6 +21,7 @@ from tests.drivers.wire_fakes import ANY_PORT, ANYWHERE, IMPATIENT, FakeBase, Fa
 OBSERVER, OPERATOR, EXECUTIVE = Role
 TABLE = {
     "Identify": {OBSERVER, OPERATOR, EXECUTIVE},
+    "SelfTest": {OBSERVER, OPERATOR, EXECUTIVE},
     "ScanStatus": {OBSERVER, OPERATOR, EXECUTIVE},
     "DriveStatus": {OBSERVER, OPERATOR, EXECUTIVE},
     "Open": {OPERATOR, EXECUTIVE},

@@ -193,6 +193,20 @@ def test_scripted_faults_come_in_order_and_then_all_is_well():
     assert len(outcomes[2].value.points) < 0.2 * len(outcomes[3].value.points)
 
 
+def test_the_self_test_tells_the_tilt_and_what_is_scripted():
+    well, _ = device()
+    assert well.self_test().faults == ()
+    assert well.self_test().figures["tilt_deg"] == pytest.approx(np.degrees(np.hypot(0.01, 0.01)), abs=0.001)
+    assert device(ScannerFaults(self_test=("too hot",)))[0].self_test().faults == ("too hot",)
+
+
+def test_a_scanner_whose_base_is_gone_cannot_tell_how_it_stands():
+    def gone():
+        raise FailureError("AGENT_UNREACHABLE", "nobody tells")
+
+    assert device(stance=gone)[0].self_test().faults == ("the inclinometer does not answer",)
+
+
 def test_an_aborted_scan_fails_and_its_name_is_free_again():
     scanner, clock = device()
     scanner.start("S1", ScanSettings(STEP), np.eye(4))

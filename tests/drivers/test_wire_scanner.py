@@ -1,7 +1,10 @@
 """A scanner over real sockets: each scan is taken once, whatever the link and the processes do."""
 
+import shutil
 import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from drivers.agent import Agent, scanner_agent, serve_scanner
 from drivers.interfaces import ScannerInfo
 from drivers.jobs import Running
 from drivers.messages import PROTOCOL
+from drivers.wire import scanner_server
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.scanner_client import ScannerClient
 from perception import transforms
@@ -60,6 +64,36 @@ def test_a_scan_is_taken_fetched_and_released(device, client, tmp_path):
 
 def test_the_scanner_says_who_it_is(client):
     assert value_of(client.info()) == ScannerInfo("fake", "0001", PROTOCOL)
+
+
+def test_the_scanner_tells_how_it_is_and_its_agent_how_much_room_there_is(device, client, tmp_path):
+    found = value_of(client.self_test())
+    assert (found.faults, found.figures["temperature_c"]) == ((), 30.5)
+    free = shutil.disk_usage(tmp_path).free / 1e9
+    assert found.figures["storage_free_gb"] == pytest.approx(free, rel=0.1)
+    device.complaints = ("the mirror does not reach its speed", "x" * 1000)
+    assert value_of(client.self_test()).faults == ("the mirror does not reach its speed", "x" * 256)
+
+
+def test_how_far_its_clock_is_off_is_found_by_the_shortest_round_trip(agent, monkeypatch):
+    begun = time.time() - time.monotonic()
+    monkeypatch.setattr(scanner_server, "time", SimpleNamespace(time=lambda: begun + time.monotonic() + 100.0))
+    late = iter([0.3, 0.2, 0.0])
+
+    def slow(number: int, frame: bytes) -> list[bytes]:
+        time.sleep(next(late, 0.25))
+        return [frame]
+
+    with Proxy(agent.endpoints.control, to_client=slow) as proxy:
+        clock = value_of(ScannerClient(Endpoints(proxy.endpoint)).info()).clock
+    assert clock.uncertainty < 0.09
+    assert abs(clock.seconds - 100.0) <= clock.uncertainty + 0.01
+    assert clock.certain == pytest.approx(100.0, abs=0.2)
+
+
+def test_a_clock_that_is_right_is_found_right(client):
+    clock = value_of(client.info()).clock
+    assert abs(clock.seconds) <= clock.uncertainty + 0.005
 
 
 def test_progress_reaches_the_client(device, client):

@@ -9,7 +9,7 @@ import zmq
 
 from drivers.agent import Agent
 from drivers.devices import BaseTelemetry
-from drivers.interfaces import BaseInfo, DriveGoal, DriveReport, ScannerInfo, ScanSettings
+from drivers.interfaces import BaseInfo, DriveGoal, DriveReport, ScannerInfo, ScanSettings, SelfTest
 from drivers.jobs import Done, Failed, Job, Outcome, Running
 from drivers.wire.client import Patience
 from drivers.wire.endpoints import Endpoints
@@ -96,6 +96,7 @@ class FakeScanner:
         self.duration = duration
         self.points = points
         self.fails_with: Failure | None = None
+        self.complaints: tuple[str, ...] = ()
         self.started: list[str] = []
         self.aborted: list[str] = []
         self.odometry: list[Matrix] = []
@@ -103,6 +104,9 @@ class FakeScanner:
 
     def info(self) -> ScannerInfo:
         return ScannerInfo("fake", "0001", 1)
+
+    def self_test(self) -> SelfTest:
+        return SelfTest(self.complaints, {"temperature_c": 30.5})
 
     def start(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> None:
         self.started.append(scan_id)

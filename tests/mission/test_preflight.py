@@ -9,16 +9,19 @@ from typing import Any
 import pytest
 
 from behaviours.settings import BatterySettings, DrivingSettings, ScanningSettings, Settings
-from drivers.interfaces import BaseInfo, ScannerInfo
+from drivers.interfaces import BaseInfo, ClockOffset, ScannerInfo, SelfTest
 from drivers.wire.endpoints import Endpoints
 from mission import preflight
 from mission.config import SiteConfig
-from mission.preflight import NoGoError, UnreachableError, inspect, lease
+from mission.display import line_of
+from mission.finding import Finding
+from mission.preflight import Answers, NoGoError, UnreachableError, inspect, lease
 from perception.failure import Failure
 from tests.behaviours.bench import HandJob, standing
 from tests.mission.test_operator import Notes
 
 SCANNER, BASE = ScannerInfo("vz-400", "S1", 1), BaseInfo("guardian", "B1", 1, (0.9, 0.6))
+FIT = SelfTest((), {"temperature_c": 31.0})
 
 
 def site(settings: Settings | None = None, serial: str = "") -> SiteConfig:
@@ -26,13 +29,20 @@ def site(settings: Settings | None = None, serial: str = "") -> SiteConfig:
     return SiteConfig(site="lab", scanner=here, base=Endpoints("ipc:///nowhere"), settings=settings or Settings())
 
 
-def against(config: SiteConfig, state: Any = None, base: Any = BASE) -> list[str]:
-    findings = inspect(config, SCANNER, base, state or standing(), Path())
-    return [finding.what for finding in findings if not finding.good]
+def findings(config: SiteConfig, **answers: Any) -> list[Finding]:
+    """What is found where the agents answer so, and as all is well where nothing is said."""
+    return inspect(
+        config, Answers(**{"scanner": SCANNER, "base": BASE, "state": standing(), "self_test": FIT} | answers), Path()
+    )
+
+
+def against(config: SiteConfig, **answers: Any) -> list[str]:
+    return [finding.what for finding in findings(config, **answers) if not finding.good]
 
 
 def test_nothing_speaks_against_a_mission_where_all_is_well() -> None:
     assert against(site()) == []
+    assert not any(finding.doubtful for finding in findings(site()))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +55,7 @@ def test_nothing_speaks_against_a_mission_where_all_is_well() -> None:
     ],
 )
 def test_settings_that_do_not_fit_are_named(settings: Settings, what: list[str]) -> None:
-    assert against(site(settings), standing(battery=1.0)) == what
+    assert against(site(settings), state=standing(battery=1.0)) == what
 
 
 @pytest.mark.parametrize(
@@ -53,12 +63,47 @@ def test_settings_that_do_not_fit_are_named(settings: Settings, what: list[str])
     [({"battery": 0.2}, "battery"), ({"emergency_stop": True}, "emergency stop"), ({"moving": True}, "at rest")],
 )
 def test_a_base_that_is_not_fit_is_named(telemetry: dict[str, Any], what: str) -> None:
-    assert against(site(), standing(**telemetry)) == [what]
+    assert against(site(), state=standing(**telemetry)) == [what]
 
 
 def test_another_scanner_than_the_sites_is_refused() -> None:
     assert against(site(serial="S1")) == []
     assert against(site(serial="S2")) == ["scanner"]
+
+
+@pytest.mark.parametrize(
+    ("offset", "good", "doubtful"),
+    [
+        (ClockOffset(0.09, 0.001), True, False),
+        (ClockOffset(-0.5, 0.01), True, True),
+        (ClockOffset(1.1, 0.01), False, True),
+        (ClockOffset(-3600.0, 0.01), False, True),
+        (ClockOffset(1.1, 0.2), True, True),
+        (ClockOffset(3.0, 3.0), True, False),
+    ],
+)
+@pytest.mark.parametrize("name", ["scanner", "base"])
+def test_a_clock_is_judged_by_what_is_certain_of_its_offset(
+    name: str, offset: ClockOffset, good: bool, doubtful: bool
+) -> None:
+    agent = {"scanner": replace(SCANNER, clock=offset), "base": replace(BASE, clock=offset)}[name]
+    (found,) = [finding for finding in findings(site(), **{name: agent}) if finding.what == f"{name}'s clock"]
+    assert (found.good, found.doubtful) == (good, doubtful)
+    assert ("chrony" in found.found) == doubtful
+
+
+def test_a_scanner_that_is_not_fit_is_named_with_every_complaint_and_its_figures() -> None:
+    unfit = SelfTest(("the mirror does not reach its speed", "too hot"), {"temperature_c": 71.5})
+    (found,) = [finding for finding in findings(site(), self_test=unfit) if not finding.good]
+    assert found.what == "scanner's self-test"
+    for words in ("the mirror does not reach its speed", "too hot", "temperature_c 71.5", "look again"):
+        assert words in found.found
+
+
+def test_a_scanner_that_cannot_tell_is_not_fit() -> None:
+    assert against(site(), self_test=Failure("AGENT_EXCEPTION", "no monitor")) == ["scanner's self-test"]
+    silent = Failure("AGENT_UNREACHABLE", "no answer")
+    assert against(site(), scanner=silent, self_test=silent) == ["scanner"]
 
 
 def test_a_base_with_an_owner_is_not_free() -> None:
@@ -84,9 +129,19 @@ def failed(code: str) -> HandJob:
     return job
 
 
-def look(scanner: HandJob, base: HandJob, state: object = None, config: SiteConfig | None = None) -> Notes:
+def look(
+    scanner: HandJob,
+    base: HandJob,
+    state: object = None,
+    config: SiteConfig | None = None,
+    self_test: SelfTest = FIT,
+) -> Notes:
     notes = Notes()
-    devices = SimpleNamespace(info=lambda: scanner), SimpleNamespace(info=lambda: base, state=lambda: state)
+    tested = done(self_test)
+    devices = (
+        SimpleNamespace(info=lambda: scanner, self_test=lambda: tested),
+        SimpleNamespace(info=lambda: base, state=lambda: state),
+    )
     preflight.preflight(config or site(), *devices, notes, Path())  # type: ignore[arg-type]
     return notes
 
@@ -101,9 +156,17 @@ def test_both_agents_are_on_record_before_anything_moves() -> None:
 
 def test_every_reason_against_a_start_is_told_at_once() -> None:
     config = site(Settings(battery=BatterySettings(low=0.9, charged=0.95)), serial="S9")
-    with pytest.raises(NoGoError, match=r"(?s)scanner: .*S9.*battery: 80%.*emergency stop: pressed") as refused:
-        look(done(SCANNER), done(BASE), standing(battery=0.8, emergency_stop=True), config)
+    reasons = r"(?s)scanner: .*S9.*scanner's self-test: too hot.*battery: 80%.*emergency stop: pressed"
+    with pytest.raises(NoGoError, match=reasons) as refused:
+        look(done(SCANNER), done(BASE), standing(battery=0.8, emergency_stop=True), config, SelfTest(("too hot",)))
     assert not isinstance(refused.value, UnreachableError)
+
+
+def test_a_doubt_does_not_keep_a_mission_from_starting_but_is_told() -> None:
+    late = replace(SCANNER, clock=ClockOffset(-0.4, 0.001))
+    (doubts,) = [event for event in look(done(late), done(BASE), standing()) if event["kind"] == "doubts"]
+    assert "scanner's clock: -0.400 s" in doubts["words"]
+    assert "chrony" in line_of(doubts)
 
 
 def test_everybody_who_does_not_answer_is_named() -> None:
@@ -122,14 +185,14 @@ def test_two_silent_agents_are_both_asked_before_either_is_waited_for() -> None:
 
     class Silent(HandJob):
         def poll(self) -> Any:
-            assert asked == ["scanner", "base"]
+            assert asked == ["scanner", "base", "self-test"]
             return super().poll()
 
     def ask(name: str) -> Silent:
         asked.append(name)
         return Silent()
 
-    scanner = SimpleNamespace(info=lambda: ask("scanner"))
+    scanner = SimpleNamespace(info=lambda: ask("scanner"), self_test=lambda: ask("self-test"))
     base = SimpleNamespace(info=lambda: ask("base"), state=lambda: None)
     found = preflight.meet(scanner, base, 0.05)  # type: ignore[arg-type]
-    assert all(isinstance(answer, Failure) for answer in found)
+    assert all(isinstance(answer, Failure) for answer in vars(found).values())

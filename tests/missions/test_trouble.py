@@ -73,6 +73,15 @@ def test_a_failed_scan_and_a_person_in_the_way_do_not_end_a_mission(tmp_path: Pa
     assert told["pose_error_max_m"] < 0.01
 
 
+def test_with_a_scanner_that_fails_its_self_test_nothing_begins(tmp_path: Path) -> None:
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_text(yaml.safe_dump({"scanner": {"self_test": ["the mirror does not reach its speed"]}}))
+    flight = landed(simulate(ONE_ROOM, tmp_path, f"--scenario={scenario}"), tmp_path)
+    assert flight.code == 7, flight.stderr
+    assert "scanner's self-test: the mirror does not reach its speed" in flight.stderr
+    assert [event["kind"] for event in flight.events] == ["preflight", "agent", "agent"]
+
+
 def test_agents_serve_one_mission_after_another_until_one_of_them_dies(tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     with agents(saved_world(tmp_path), tmp_path) as up:

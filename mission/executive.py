@@ -15,8 +15,8 @@ from behaviours.keys import Key
 from behaviours.services import Services
 from behaviours.survey import Survey, Target
 from drivers.jobs import Running
-from mission.phase import DRIVING, Course, Phase, State, under_way
-from perception.failure import Failure
+from mission.phase import DRIVING, NOTHING, Course, Phase, State, under_way
+from perception.failure import Failure, FailureError
 
 log = logging.getLogger("mission")
 
@@ -79,18 +79,19 @@ class Executive:
     def run(self) -> str:
         """Tick to the end; the outcome is ``complete``, ``incomplete``, ``aborted``, ``safety_stop`` or ``fault``."""
         _wipe_blackboard()
-        outcome = "fault"
+        outcome, cause = "fault", NOTHING
         try:
             for node in self.root.iterate():
                 node.setup(services=self._services)
             outcome = self._tick_to_the_end()
         except Exception as error:
-            log.exception("the tick failed")
-            note = {"leaf": "tick", "code": "TICK_EXCEPTION", "message": repr(error)}
-            _attempt(lambda: self._services.journal.record("failure", **note))
+            cause = self._note(error)
+        except KeyboardInterrupt as error:
+            cause = self._note(error)
+            raise
         finally:
             self._come_to_rest()
-            _attempt(lambda: self.course.enter(State.at_the_end(outcome)))
+            _attempt(lambda: self.course.enter(State.at_the_end(outcome, cause)))
         return outcome
 
     @property
@@ -104,6 +105,18 @@ class Executive:
         found = {"p50": _quantile(self.durations, 0.5), "p99": _quantile(self.durations, 0.99)}
         found |= {"max": _quantile(self.durations, 1.0), "work_p99": _quantile(self._worked, 0.99)}
         return {name: round(1000 * seconds, 2) for name, seconds in found.items()}
+
+    def _note(self, error: BaseException) -> Failure:
+        """Put on record what the tick could not survive: a failure that has a name, or an error of the program."""
+        if isinstance(error, FailureError):
+            log.error("the tick failed: %s", error)
+            cause = error.failure
+        else:
+            log.error("the tick failed", exc_info=error)
+            cause = Failure("TICK_EXCEPTION", repr(error))
+        note = {"leaf": "tick", "code": cause.code, "message": cause.message}
+        _attempt(lambda: self._services.journal.record("failure", **note))
+        return cause
 
     def _tick_to_the_end(self) -> str:
         Blackboard.set(Key.COMMAND, "run")

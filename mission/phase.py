@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from perception.failure import Failure
+
 
 class Phase(StrEnum):
     """The ten words; see ``docs/operations.md`` for what an operator may do in each."""
@@ -42,6 +44,9 @@ _ENDS: Mapping[str, Phase] = {
 }
 
 
+NOTHING = Failure("", "")
+
+
 class IllegalTransitionError(Exception):
     """A phase was to follow that cannot."""
 
@@ -59,9 +64,9 @@ class State:
         return f"{word}: {self.message}" if self.message else word
 
     @classmethod
-    def at_the_end(cls, outcome: str) -> "State":
-        """The phase that an outcome of the executive ends in."""
-        return cls(_ENDS[outcome], "SAFETY_STOP" if outcome == "safety_stop" else "")
+    def at_the_end(cls, outcome: str, cause: Failure = NOTHING) -> "State":
+        """The phase that an outcome of the executive ends in, and what ended it where that was a fault."""
+        return cls(_ENDS[outcome], "SAFETY_STOP" if outcome == "safety_stop" else cause.code, cause.message)
 
 
 def under_way(hold: State | None, pause: State | None, question: str | None, returning: bool) -> State:

@@ -3,21 +3,25 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from py_trees.behaviour import Behaviour
-from py_trees.common import Status
 
 from behaviours.services import Clock, Services
 from behaviours.settings import Settings
 from behaviours.survey import Survey
+from mission.chronicle import Chronicle
 from mission.clock import MissionClock
 from mission.executive import TICK, Executive
 from mission.journal import plain
+from mission.ledger import Ledger
 from mission.operator import Desk, Word
 from mission.phase import Course
+from mission.remembering import remembering
 from mission.run import record_phase
 from perception.building import Room
+from tests.scenarios.monitor import Monitor
 from tests.scenarios.scripted import FreeFloor, Script, ScriptedBase, ScriptedPerception, ScriptedScanner
 from tests.scenarios.site import Site
 from trees.building import create_root
@@ -25,6 +29,9 @@ from trees.building import create_root
 TICK_S = 10.0
 """Mission seconds from tick to tick: nothing a script does is quicker."""
 
+OWNER = "this mission"
+
+_IN_MEMORY = Path(":memory:")
 _TOO_MANY_TICKS = 3000
 
 
@@ -71,18 +78,28 @@ class Play:
         self.events = Events(self.clock)
         self.word = Word()
         self.desk = Desk(self.clock, self.events, self.attended)
-        self.base = ScriptedBase(self.site, self.script)
+        self.base = ScriptedBase(self.site, self.script, OWNER)
         self.scanner = ScriptedScanner(self.base, self.script)
         self.perception = ScriptedPerception(self.site, self.scanner, self.script)
         self.floor = FreeFloor()
         self.root = create_root(self.settings)
+        self.monitor = Monitor()
+        self.ledger = Ledger(_IN_MEMORY)
         services = Services(
-            self.scanner, self.base, self.perception, self.clock, self.events, self.floor, self.settings, self.desk
-        )
+            self.scanner, self.base, self.perception, self.clock, self.events, self.floor, self.settings, self.desk,
+            owner=OWNER,
+        )  # fmt: skip
         self.course = Course(lambda before, after: record_phase(self.events, before, after))
         self.executive = Executive(
-            self.root, services, self.clock, self._command, self._after_tick, self.course, "resume goes on"
+            self.root,
+            remembering(self.monitor.watch(services), Chronicle(self.ledger, self.clock)),
+            self.clock,
+            self.monitor.hearing(self._command),
+            self._after_tick,
+            self.course,
+            "resume goes on",
         )
+        self.monitor.executive = self.executive
 
     def run(self) -> str:
         outcome = self.executive.run()
@@ -120,23 +137,8 @@ class Play:
         )
 
     def assert_at_rest(self) -> None:
-        """What holds on every way out: nothing runs, the base was told to stop last, the journal is whole."""
-        nodes = list(self.root.iterate())
-        assert [node.name for node in nodes if node.status != Status.INVALID] == []
-        assert [job.what for job in self.script.jobs if not job.over] == []
-        assert self.base.commands[-1] == "stop"
-        shown: dict[str, str] = {}
-        for event in self.events.of("node"):
-            assert event["before"] == shown.get(event["path"], "INVALID")
-            shown[event["path"]] = event["after"]
-        assert set(shown.values()) <= {"INVALID"}
-        fetched = {event["scan_id"] for event in self.events.of("scan")}
-        registered = [event["scan_id"] for event in self.events.of("registered")]
-        assert sorted(registered) == sorted(scan.scan_id for scan in self.survey.scans)
-        assert set(registered) <= fetched
-        ended = {event["room_id"]: (event["status"], event["reason"]) for event in self.events.of("room_ended")}
-        rooms = self.survey.building.rooms
-        assert ended == {room.id: (room.status, room.reason) for room in rooms if room.status != "open"}
+        """What holds on every way out."""
+        self.monitor.assert_at_rest(self.ledger.jobs())
 
     def _wait(self, seconds: float) -> None:
         self.script.clock.sleep(seconds * TICK_S / TICK)
@@ -146,6 +148,7 @@ class Play:
 
     def _after_tick(self, ticks: int) -> None:
         self.ticks = ticks
+        self.monitor.ticked(ticks)
         assert ticks < _TOO_MANY_TICKS, "this mission does not end"
         self.each_tick(self, ticks)
 

@@ -105,11 +105,13 @@ class Script:
 class ScriptedBase:
     """Drives through open doors to free places; its odometry is exact, and it never localises itself.
 
-    ``closed`` names the passages that are shut, ``occupied`` the places (x, y) that somebody stands on.
+    ``closed`` names the passages that are shut, ``occupied`` the places (x, y) that somebody stands on, ``owner`` whose
+    it is.
     """
 
-    def __init__(self, site: Site, script: Script) -> None:
+    def __init__(self, site: Site, script: Script, owner: str = "") -> None:
         self.site = site
+        self.owner = owner
         self.pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.closed: set[str] = set()
         self.occupied: set[tuple[float, float]] = set()
@@ -128,10 +130,14 @@ class ScriptedBase:
     def state(self) -> BaseState | None:
         age = 0.0 if self.silent_since is None else self._script.clock.now() - self.silent_since
         odometry = ODOM_FROM_MAP @ self.map_from_base
-        return BaseState(odometry, None, False, self.emergency_stop, self.battery, "idle", age)
+        return BaseState(odometry, None, False, self.emergency_stop, self.battery, "idle", age, self.owner)
 
     def acquire(self, owner: str) -> ScriptedJob:
-        return self._script.job("acquire", lambda: Lease(1, 1, owner))
+        def grant() -> Lease:
+            self.owner = owner
+            return Lease(1, 1, owner)
+
+        return self._script.job("acquire", grant)
 
     def beat(self, tick: int, may_move: bool) -> None:
         assert not self.beats or tick > self.beats[-1][0], "the same tick beats once"

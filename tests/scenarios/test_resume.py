@@ -20,6 +20,7 @@ from mission.remembering import heeding, remembering
 from mission.state import describe
 from perception.failure import FailureError
 from perception.transforms import Matrix
+from tests.scenarios.monitor import Monitor
 from tests.scenarios.play import TICK_S
 from tests.scenarios.scripted import FreeFloor, Script, ScriptedBase, ScriptedJob, ScriptedPerception, ScriptedScanner
 from tests.scenarios.site import Site, row
@@ -105,7 +106,7 @@ class Saga:
         self.base = LastingBase(self.site, self.script)
         self.scanner = LastingScanner(self.base, self.script)
         self.perception = ScriptedPerception(self.site, self.scanner, self.script)
-        self.told_ticks = 0
+        self.monitor = Monitor()
 
     def live(
         self, dies_at: int | None = None, after: bool = False, each_tick: Callable[[Word, int], None] | None = None
@@ -121,15 +122,18 @@ class Saga:
         if chronicle.telling:
             word.pause()
         services = remembering(
-            Services(
-                self.scanner, self.base, self.perception, clock, journal, FreeFloor(), self.settings,
-                Desk(clock, journal, False),
+            self.monitor.watch(
+                Services(
+                    self.scanner, self.base, self.perception, clock, journal, FreeFloor(), self.settings,
+                    Desk(clock, journal, False),
+                )
             ),
             chronicle,
         )  # fmt: skip
 
         def after_tick(ticks: int) -> None:
             journal.commit()
+            self.monitor.ticked(ticks)
             if ticks == 3:
                 word.resume()
             if each_tick is not None:
@@ -137,12 +141,16 @@ class Saga:
             assert ticks < 3000
 
         root = create_root(self.settings)
-        executive = MortalExecutive(root, services, clock, heeding(word, chronicle), after_tick, recall=chronicle.tell)
+        command = self.monitor.hearing(heeding(word, chronicle))
+        executive = MortalExecutive(root, services, clock, command, after_tick, recall=chronicle.tell)
         executive.ledger = ledger
+        self.monitor.executive = executive
         try:
             outcome = executive.run()
+            self.monitor.assert_at_rest(ledger.jobs())
         except Dies:
             outcome = "killed"
+            self.monitor.assert_kept()
         finally:
             self.writes = ledger.writes
             self.survey = executive.survey
@@ -209,8 +217,10 @@ def test_nothing_moves_and_nothing_is_scanned_before_the_operator_says_so(tmp_pa
         seen.append((len(saga.base.goals), len(saga.scanner.taken), word()))
         if ticks < 10:
             word.pause()
+        else:
+            word.resume()
 
-    saga.live(each_tick=watch)
+    assert saga.live(each_tick=watch) == "complete"
     assert {(g, s) for g, s, word in seen[:9]} == {(goals, scans)}
     assert all(not may_move for _, may_move in saga.base.beats[-len(seen) :][:9])
 

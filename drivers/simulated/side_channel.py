@@ -22,7 +22,7 @@ from perception.failure import FailureError
 log = logging.getLogger(__name__)
 
 _POLL_MS = 50
-_TRY_MS = 500
+_TRY_S = 0.5
 
 
 class _Told(msgspec.Struct, frozen=True):
@@ -72,18 +72,29 @@ class StanceServer:
         return _Told(question, transforms.to_planar(stance.map_from_base), stance.tilt, stance.bodies, stance.moving)
 
 
-def ask_stance(endpoint: str, timeout: float = 5.0) -> Stance:
-    """Where the base truly stands, asked anew until ``timeout`` real seconds are over; raises ``AGENT_UNREACHABLE``."""
-    deadline = time.monotonic() + timeout
+def ask_stance(endpoint: str, timeout: float = 20.0) -> Stance:
+    """Where the base truly stands, asked anew until ``timeout`` real seconds are over; raises ``SCAN_FAILED``.
+
+    Each question is given twice the time of the one before: on a busy machine every answer may come late, and a late
+    answer to an earlier question tells where the base was, not where it is.
+    """
+    deadline, patience = time.monotonic() + timeout, _TRY_S
     question = 0
     with Sockets().dealer(endpoint) as socket:
         while time.monotonic() < deadline:
             question += 1
             socket.send(msgspec.msgpack.encode(question))
-            if not socket.poll(_TRY_MS):
-                continue
-            told = msgspec.msgpack.decode(socket.recv(), type=_Told)
-            # A late answer to an earlier question tells where the base was, not where it is.
-            if told.question == question:
+            told = _answer(socket, question, min(deadline, time.monotonic() + patience))
+            if told is not None:
                 return Stance(transforms.planar(*told.pose), told.tilt, told.bodies, told.moving)
-    raise FailureError("AGENT_UNREACHABLE", f"no simulated base answers at {endpoint}", endpoint=endpoint)
+            patience *= 2
+    raise FailureError("SCAN_FAILED", f"no simulated base answers at {endpoint}", endpoint=endpoint)
+
+
+def _answer(socket: zmq.Socket[bytes], question: int, deadline: float) -> _Told | None:
+    while (left := deadline - time.monotonic()) > 0:
+        if socket.poll(int(1000 * left)):
+            told = msgspec.msgpack.decode(socket.recv(), type=_Told)
+            if told.question == question:
+                return told
+    return None

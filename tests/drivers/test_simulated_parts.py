@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -184,8 +186,21 @@ def test_the_side_channel_tells_the_stance_and_says_when_nobody_is_there():
     server.close()
     assert np.allclose(told.map_from_base, stance.map_from_base)
     assert (told.tilt, told.bodies, told.moving) == (stance.tilt, stance.bodies, True)
-    with pytest.raises(FailureError, match="AGENT_UNREACHABLE"):
+    with pytest.raises(FailureError, match="SCAN_FAILED"):
         ask_stance(server.endpoint, timeout=0.6)
+
+
+def test_a_base_that_answers_late_is_waited_for():
+    """Later than the first question waits, as on a busy machine: the answer to a newer one counts."""
+    stance = Stance(np.eye(4), (0.0, 0.0), (), False)
+
+    def late() -> Stance:
+        time.sleep(0.8)
+        return stance
+
+    server = StanceServer(late)
+    assert not ask_stance(server.endpoint).moving
+    server.close()
 
 
 def test_a_scenario_is_read_from_yaml(tmp_path):

@@ -113,6 +113,8 @@ class BaseState:
             nobody lets the wheels turn).
         age: seconds since it was received.
         owner: of the lease, empty while the base is free.
+        odom_frame: name of what ``odom_from_base`` is told in. It changes when odometry begins anew; what was known of
+            the place by the frame before says nothing of where the base stands now.
     """
 
     odom_from_base: Matrix
@@ -123,6 +125,7 @@ class BaseState:
     activity: str
     age: float
     owner: str = ""
+    odom_frame: str = ""
 
 
 @dataclass(frozen=True)
@@ -230,9 +233,10 @@ class Base(Protocol):
         """Drive to a goal.
 
         Fails with ``NAV_NO_PATH`` (nothing was driven), ``NAV_BLOCKED`` (an obstacle stayed in the way),
-        ``NAV_STUCK`` (no progress, localisation lost), ``ESTOP``, ``LEASE_LOST`` (the base is somebody else's now, or
-        was never ours; evidence names its ``owner``), ``AGENT_UNREACHABLE``. Evidence holds the ``track`` driven and
-        the last ``map_from_base``. Cancelling stops the base.
+        ``NAV_STUCK`` (no progress, localisation lost), ``NAV_INTERRUPTED`` (the base began anew), ``ESTOP``,
+        ``LEASE_LOST`` (the base is somebody else's now, or was never ours; evidence names its ``owner``),
+        ``AGENT_UNREACHABLE``. Evidence holds the ``track`` driven and its ``distance``, as far as anybody knows.
+        Cancelling stops the base.
         """
         ...
 

@@ -398,7 +398,7 @@ class DriveDone(Body, frozen=True):
 
 
 class Telemetry(Wire, frozen=True):
-    """What the base tells whoever listens; ``sequence`` counts up within a ``boot``.
+    """What the base tells whoever listens; ``sequence`` counts up within a ``boot``, and so does its ``clock``.
 
     Each has a ``nonce`` of its own: whoever echoes it has heard this very message, and the base knows when it spoke.
     ``owner`` is that of the lease, empty while the base is free.
@@ -407,6 +407,7 @@ class Telemetry(Wire, frozen=True):
     version: int
     boot: Name
     sequence: Annotated[int, Meta(ge=0)]
+    clock: float
     odom_from_base: Pose
     map_from_base: Pose | None
     moving: bool

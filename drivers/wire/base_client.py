@@ -1,7 +1,5 @@
 """A base at the other end of the wire."""
 
-import time
-
 import zmq
 
 from drivers.interfaces import BaseInfo, BaseState, DriveGoal, DriveReport, Lease
@@ -11,30 +9,21 @@ from drivers.messages import (
     AcquireLease,
     BaseIdentity,
     Beat,
-    Body,
-    Drive,
-    DriveDone,
-    DriveStatus,
     Goal,
-    Late,
     LeaseGranted,
     Ok,
-    Pending,
     ReleaseLease,
     Request,
     Stop,
-    Unknown,
 )
 from drivers.wire.client import Link, Patience
 from drivers.wire.codec import encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.introduction import introduced
+from drivers.wire.remote_drive import RemoteDrive
 from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
 from perception.failure import FailureError
-from perception.transforms import Matrix
-
-POLL_S = 0.05
 
 
 class BaseClient:
@@ -115,7 +104,7 @@ class BaseClient:
     def drive(self, goal: DriveGoal) -> Job[DriveReport]:
         """See :meth:`drivers.interfaces.Base.drive`.
 
-        A base that restarted meanwhile is not sent on: it no longer knows where it stands, hence ``NAV_STUCK``.
+        A base that restarted meanwhile is not sent on: it no longer knows where it stands, hence ``NAV_INTERRUPTED``.
         """
         lease = self._lease
 
@@ -124,7 +113,8 @@ class BaseClient:
                 raise FailureError("LEASE_LOST", "the base was never acquired", goal_id=goal.goal_id, owner="")
             try:
                 with self._link(progress) as link:
-                    return self._follow(link, Goal.of(goal), lease, progress)
+                    drive = RemoteDrive(link, self._listener, Goal.of(goal), lease, self._patience)
+                    return drive.follow(progress)
             except FailureError:
                 if progress.cancelled:
                     self._stop(Progress(), goal.goal_id)
@@ -136,50 +126,9 @@ class BaseClient:
         """See :meth:`drivers.interfaces.Base.stop`."""
         return BackgroundJob(self._stop, "base stop")
 
-    def _follow(self, link: Link, goal: Goal, lease: Lease, progress: Progress) -> DriveReport:
-        place: Matrix | None = None
-        try:
-            status = self._order(link, goal, lease, progress)
-        except FailureError as error:
-            if error.failure.code == "AGENT_RESTARTED":
-                raise _lost(goal, place) from error
-            raise
-        while isinstance(status, Pending):
-            state = self.state()
-            if state is not None and state.map_from_base is not None:
-                place = state.map_from_base
-            progress.report(status.fraction, status.note)
-            progress.wait(POLL_S)
-            status = link.ask(DriveStatus(goal.goal_id), (Pending, DriveDone, Unknown))
-        if isinstance(status, DriveDone):
-            return status.value()
-        raise _lost(goal, place)
-
-    def _order(self, link: Link, goal: Goal, lease: Lease, progress: Progress) -> Body:
-        """Give the order with the newest nonce, anew where it comes too late; the first word of the base on it."""
-        give_up = time.monotonic() + self._patience.total
-        while time.monotonic() < give_up:
-            nonce = self._listener.nonce
-            if nonce is not None:
-                reply = link.ask(Drive(goal, lease.number, nonce), (Pending, DriveDone, Late), once=True)
-                if not isinstance(reply, Late):
-                    return reply
-            progress.wait(POLL_S)
-        raise link.unreachable()
-
     def _stop(self, progress: Progress, goal_id: str | None = None) -> None:
         with self._link(progress) as link:
             link.ask(Stop(goal_id), Ok)
 
     def _link(self, progress: Progress) -> Link:
         return Link(self._sockets, self._endpoint, self._patience, progress)
-
-
-def _lost(goal: Goal, place: Matrix | None) -> FailureError:
-    return FailureError(
-        "NAV_STUCK",
-        f"the base restarted on its way to goal {goal.goal_id}; how far it came is not known",
-        goal_id=goal.goal_id,
-        track=[],
-        map_from_base=None if place is None else place.tolist(),
-    )

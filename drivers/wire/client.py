@@ -65,7 +65,7 @@ class Link:
         self._replies = replies
         self._socket = sockets.dealer(endpoint)
         self._boot: str | None = None
-        self._clock_offset = 0.0
+        self._clock = self._clock_offset = 0.0
         self._undecodable = ""
 
     def __enter__(self) -> "Link":
@@ -73,6 +73,16 @@ class Link:
 
     def __exit__(self, *exception: object) -> None:
         self._socket.close()
+
+    @property
+    def boot(self) -> str | None:
+        """Which process of the agent spoke last; None before the first word."""
+        return self._boot
+
+    @property
+    def clock(self) -> float:
+        """When it spoke last, by its own clock."""
+        return self._clock
 
     def ask(self, body: Body, expected: type[R] | tuple[type[R], ...], once: bool = False) -> R:
         """The agent's answer to ``body``.
@@ -117,7 +127,8 @@ class Link:
                 continue
             reply = self._decode(self._socket.recv())
             if reply is not None:
-                self._boot, self._clock_offset = reply.boot, reply.clock - time.monotonic()
+                self._boot, self._clock = reply.boot, reply.clock
+                self._clock_offset = reply.clock - time.monotonic()
                 return reply
         return None
 

@@ -62,11 +62,12 @@ class Publisher:
                     log.exception("no telemetry this time")
 
     def _message(self, sequence: int) -> Telemetry:
-        now = self._sample()
+        at, now = time.monotonic(), self._sample()
         return Telemetry(
             PROTOCOL,
             self._boot,
             sequence,
+            at,
             Pose.of(now.odom_from_base),
             None if now.map_from_base is None else Pose.of(now.map_from_base),
             bool(now.moving),
@@ -84,6 +85,8 @@ class Listener:
     def __init__(self, socket: zmq.Socket) -> None:
         self._socket = socket
         self._boot, self._sequence = "", -1
+        self._heard: tuple[str, float] = "", 0.0
+        self._gone: set[str] = set()
         self._newest: tuple[BaseState, float] | None = None
         self.nonce: int | None = None
         """Of the newest telemetry; None before the first."""
@@ -98,6 +101,11 @@ class Listener:
             return None
         state, received = newest
         return replace(state, age=time.monotonic() - received)
+
+    def has_heard(self, boot: str | None, clock: float) -> bool:
+        """Whether the newest telemetry is of this instant of an agent's clock or later, or of a later process of it."""
+        speaks, at = self._heard
+        return boot is None or boot in self._gone or (speaks == boot and at >= clock)
 
     def close(self) -> None:
         """Stop listening and close the socket. Harmless when closed."""
@@ -116,10 +124,14 @@ class Listener:
         except UndecodableError as error:
             log.warning("telemetry that is none: %s", error)
             return
+        if message.boot in self._gone:
+            return  # a word that was held up, of a process that another has followed
         if message.boot != self._boot or message.sequence > self._sequence:
+            self._gone |= {self._boot} - {message.boot}
             self._boot, self._sequence = message.boot, message.sequence
             # Computed here rather than when asked: whoever asks is the tick, which has no time for it.
             self._newest = _state(message), time.monotonic()
+            self._heard = message.boot, message.clock
             self.nonce = message.nonce
 
 
@@ -133,4 +145,5 @@ def _state(message: Telemetry) -> BaseState:
         message.activity,
         age=0.0,
         owner=message.owner,
+        odom_frame=message.boot,
     )

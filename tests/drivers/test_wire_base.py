@@ -10,7 +10,7 @@ import zmq
 
 from drivers.agent import Agent, base_agent, serve_base
 from drivers.interfaces import BaseInfo
-from drivers.jobs import BackgroundJob, Progress, Running
+from drivers.jobs import BackgroundJob, Failed, Progress, Running
 from drivers.messages import (
     PROTOCOL,
     AnyReply,
@@ -35,6 +35,7 @@ from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
 from perception import transforms
 from perception.failure import Failure, FailureError
+from tests.drivers.chaos_link import NONE, ChaosLink
 from tests.drivers.wire_fakes import (
     ANY_PORT,
     ANYWHERE,
@@ -44,6 +45,7 @@ from tests.drivers.wire_fakes import (
     eventually,
     failure_of,
     make_goal,
+    outcome_of,
     restarted,
     value_of,
 )
@@ -158,6 +160,7 @@ def test_cancelling_one_goal_does_not_stop_the_next(device, client):
 def test_a_base_that_restarts_during_a_drive_is_not_sent_on(device, agent, client):
     device.duration, device.in_map = 30.0, transforms.planar(0.4, 0.1, 0.0)
     eventually(lambda: (state := client.state()) and state.map_from_base is not None)
+    before = client.state().odom_frame
     job = client.drive(make_goal())
     eventually(lambda: device.driven)
     agent.close()
@@ -165,8 +168,31 @@ def test_a_base_that_restarts_during_a_drive_is_not_sent_on(device, agent, clien
     second = FakeBase()
     with restarted(lambda: base_agent(second, agent.endpoints)):
         failure = failure_of(job)
-    assert failure.code == "NAV_STUCK" and np.allclose(failure.evidence["map_from_base"], device.in_map)
+        assert client.state().odom_frame != before, "what comes next goes by where it stands now"
+    assert failure.code == "NAV_INTERRUPTED" and np.allclose(failure.evidence["track"], [(0.4, 0.1, 0.0)])
     assert second.driven == []
+
+
+def test_who_hears_that_a_drive_has_ended_sees_the_base_where_it_ended(device, agent):
+    """The link of the telemetry holds back what was said before the end; nobody is told the end until it lets go."""
+    device.pose = transforms.planar(1.0, 2.0, 0.5)
+    with ChaosLink(agent.endpoints.telemetry, "held", NONE, telemetry=True) as link:
+        client = owner(Endpoints(agent.endpoints.control, telemetry=link.endpoint))
+        for fails in (False, True):
+            job = client.drive(make_goal(f"G{fails:d}"))
+            eventually(lambda: device.current)
+            link.cut()
+            device.pose = device.pose @ transforms.planar(1.0, 0.0, 0.0)
+            if fails:
+                device.stop()
+            eventually(lambda: device.current is None or not isinstance(device.drive_status(device.current), Running))
+            time.sleep(0.3)
+            assert isinstance(job.poll(), Running)
+            link.heal()
+            outcome = outcome_of(job)
+            assert isinstance(outcome, Failed) == fails
+            assert np.allclose(client.state().odom_from_base, device.pose)
+        client.close()
 
 
 def test_a_drive_whose_reply_was_lost_is_not_given_to_the_next_process(device, agent):
@@ -187,7 +213,7 @@ def test_a_drive_whose_reply_was_lost_is_not_given_to_the_next_process(device, a
         agent.close()
         second = FakeBase()
         with restarted(lambda: base_agent(second, agent.endpoints)):
-            assert failure_of(job).code == "NAV_STUCK"
+            assert failure_of(job).code == "NAV_INTERRUPTED"
         client.close()
     assert len(device.driven) == 1 and second.driven == []
 
@@ -363,7 +389,7 @@ def test_old_and_garbled_telemetry_is_ignored():
 
     def message(boot: str, sequence: int, battery: float) -> bytes:
         pose = Pose.of(np.eye(4))
-        return encode(Telemetry(PROTOCOL, boot, sequence, pose, None, False, False, battery, "idle", 7, ""))
+        return encode(Telemetry(PROTOCOL, boot, sequence, 1.0, pose, None, False, False, battery, "idle", 7, ""))
 
     def publish_until(battery: float, frame: bytes) -> None:
         eventually(lambda: publisher.send(frame) or ((s := listener.state()) and s.battery == battery))
@@ -376,6 +402,11 @@ def test_old_and_garbled_telemetry_is_ignored():
             assert listener.state().battery == 0.5
         publish_until(0.4, message("a", 8, 0.4))
         publish_until(0.3, message("b", 1, 0.3))
+        publisher.send(message("a", 9, 0.2))
+        time.sleep(0.1)
+        assert listener.state().battery == 0.3, "nobody hears of a process that another has followed"
+        assert (listener.state().odom_frame, listener.has_heard("a", 5.0)) == ("b", True)
+        assert (listener.has_heard("b", 1.0), listener.has_heard("b", 1.1)) == (True, False)
         listener.close()
 
 

@@ -1,32 +1,95 @@
-"""How long a tick takes while perception uses every core: `python -m benchmarks.tick`.
+"""How long a tick takes, and how regularly it comes, while perception uses every core: `python -m benchmarks.tick`.
 
-The whole mission runs, with its sockets, its worker and its files, and beside it one process for each core that never
-rests. Prints one JSON object: milliseconds of the wall of a tick, all that is called from it included, alone and with
-the neighbours. The bar is 20 ms at the 99th percentile.
+A whole mission runs with scans of five million points: its sockets, its worker, its ledger and its files. Ticks are
+told apart by what the mission does just then; ``thinking`` are those during which the perception worker has a job.
+Prints milliseconds of the wall: of a tick, all that is called from it included, and from one tick to the next. The bar
+is 20 ms for a tick at the 99th percentile while it thinks. What a tick lost by waiting for a core (the kernel's own
+count) is told from what it lost by waiting for the interpreter's lock or the disk, for only an idle machine is fair.
+
+With ``--neighbours N`` as many processes that never rest run beside it, at the niceness of the worker.
 """
 
 import argparse
-import json
 import multiprocessing
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mission.journal import read_events
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from behaviours.scanning import StageLeaf
+from mission import run
+from mission.clock import MissionClock
+from mission.executive import Executive, active_branch
 from mission.rehearsal import Rehearsal, rehearse
+from mission.worker import NICENESS
+
+BAR_MS = 20.0
+FIVE_MILLION_DEG = 0.085
+WORLD: dict[str, Any] = {
+    "name": "two rooms",
+    "height": 2.7,
+    "start": {"at": [2.2, 2.1], "yaw": 10},
+    "rooms": {"big": {"box": [0.0, 0.0, 4.4, 4.0]}, "small": {"box": [4.6, 0.4, 7.6, 3.6]}},
+    "doors": [{"room": "small", "at": [4.6, 2.0], "width": 1.0, "hinge": "right", "angle": 95}],
+    "furniture": [{"kind": "desk", "at": [0.5, 3.3]}, {"kind": "cabinet", "at": [3.2, 0.3]}],
+}
 
 
-def measure(world: str, step_deg: float, speed: float, neighbours: int) -> dict[str, Any]:
-    """Tick times of one simulated mission, with so many processes that never rest beside it."""
-    with tempfile.TemporaryDirectory() as folder, busy(neighbours):
-        plan = Rehearsal(world, step_deg=step_deg, speed=speed, profile="vz-400i")
-        summary = rehearse(plan, Path(folder))
-        events = read_events(Path(summary.run) / "events.jsonl")
-        (ended,) = [event for event in events if event["kind"] == "mission_ended"]
-        return {"outcome": summary.outcome, "scans": summary.scans, "tick_ms": ended["tick_ms"]}
+HEAD = ("", "ticks", "tick p50", "p99", "max", "work p99", "core p99", "lock p99", "from p50", "p99", "max")
+
+
+class Stopwatch:
+    """Seen by a mission as its display: notes after each tick when it is, and what is done."""
+
+    def __init__(self) -> None:
+        self._ticks: list[tuple[str, float, NDArray[np.float64]]] = []
+        self._began: NDArray[np.float64] | None = None
+
+    def begin(self) -> None:
+        """A tick begins now."""
+        self._began = _seconds()
+
+    def __call__(self, executive: Executive, newest: dict[str, Any]) -> None:
+        branch = active_branch(executive.root)
+        if self._began is not None and branch:
+            kind = "thinking" if isinstance(branch[-1], StageLeaf) else "all else"
+            self._ticks.append((kind, self._began[0], _seconds() - self._began))
+
+    def rows(self) -> Iterator[list[str]]:
+        """A row for each kind of tick, and one for all."""
+        kinds = np.array([kind for kind, _, _ in self._ticks])
+        intervals = np.diff([began for _, began, _ in self._ticks], prepend=np.nan)
+        wall, worked, waited = np.array([spent for _, _, spent in self._ticks]).T
+        for name, of in (("thinking", kinds == "thinking"), ("all else", kinds == "all else"), ("all", kinds != "")):
+            lost = [_p99(waited[of]), _p99((wall - worked - waited)[of])]
+            yield [name, str(of.sum()), *_quantiles(wall[of]), _p99(worked[of]), *lost, *_quantiles(intervals[of])]
+
+
+class WatchedClock(MissionClock):
+    """The mission's clock, which knows when a tick begins: when the wait before it is over."""
+
+    watch: Stopwatch
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds)
+        self.watch.begin()
+
+
+def measure(world: Path, step_deg: float, speed: float) -> list[list[str]]:
+    """Rows of one simulated mission."""
+    watch = WatchedClock.watch = Stopwatch()
+    run.MissionClock = WatchedClock  # type: ignore[misc]
+    with tempfile.TemporaryDirectory() as folder:
+        plan = Rehearsal(str(world), step_deg=step_deg, speed=speed, profile="vz-400i")
+        rehearse(plan, Path(folder), watch)
+    return list(watch.rows())
 
 
 @contextmanager
@@ -45,24 +108,43 @@ def busy(count: int) -> Iterator[None]:
 
 
 def _spin() -> None:
-    os.nice(10)
+    os.nice(NICENESS)
     value = 1.0
     while True:
         value = value * 1.0000001 % 3.0
 
 
+def _seconds() -> NDArray[np.float64]:
+    """Of the wall, of work of this thread, and of its waiting for a core."""
+    worked, waited, _ = Path("/proc/thread-self/schedstat").read_text().split()
+    return np.array([time.perf_counter(), int(worked) / 1e9, int(waited) / 1e9])
+
+
+def _quantiles(seconds: NDArray[np.float64]) -> list[str]:
+    return [f"{1000 * np.nanquantile(seconds, share):.1f}" for share in (0.5, 0.99, 1.0)]
+
+
+def _p99(seconds: NDArray[np.float64]) -> str:
+    return f"{1000 * np.quantile(seconds, 0.99):.1f}"
+
+
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("world", nargs="?", default="procedural")
-    parser.add_argument("--step", type=float, default=0.2)
-    parser.add_argument("--speed", type=float, default=20.0)
+    parser.add_argument("--step", type=float, default=FIVE_MILLION_DEG, help="degrees between beams")
+    parser.add_argument("--speed", type=float, default=10.0, help="simulated seconds in one of the wall")
+    parser.add_argument("--neighbours", type=int, default=0, help="processes that never rest, beside the mission")
     asked = parser.parse_args()
-    found = {
-        name: measure(asked.world, asked.step, asked.speed, neighbours)
-        for name, neighbours in (("alone", 0), ("with every core busy", os.cpu_count() or 2))
-    }
-    print(json.dumps(found, indent=1))
+    with tempfile.TemporaryDirectory() as folder, busy(asked.neighbours):
+        world = Path(folder) / "two-rooms.yaml"
+        world.write_text(yaml.safe_dump(WORLD))
+        rows = measure(world, asked.step, asked.speed)
+    print(
+        f"{os.cpu_count()} cores, {asked.neighbours} neighbours; milliseconds; bar: tick p99 {BAR_MS:g} while thinking"
+    )
+    print("".join(f"{cell:>12}" for cell in HEAD))
+    for row in rows:
+        print("".join(f"{cell:>12}" for cell in row))
 
 
 if __name__ == "__main__":

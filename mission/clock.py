@@ -27,6 +27,7 @@ class MissionClock:
         self._wait = wait
         self._start = source() - begin / rate
         self._stopped_at: float | None = None
+        self._woke = source()
         self._lock = threading.Lock()
 
     def now(self) -> float:
@@ -44,5 +45,9 @@ class MissionClock:
                 self._stopped_at = None
 
     def sleep(self, seconds: float) -> None:
-        """Wait for so many seconds of the wall: a tick costs real time whatever the rate, and in a pause too."""
-        self._wait(seconds)
+        """Wait until so many seconds of the wall after the last wait was over, so that ticks come regularly.
+
+        A tick costs real time whatever the rate, and in a pause too. Whoever was late is not made to hurry after it.
+        """
+        self._wait(max(0.0, self._woke + seconds - self._source()))
+        self._woke = self._source()

@@ -30,7 +30,9 @@ _STOP_PATIENCE = 50
 class TickClock(Protocol):
     """Waits from tick to tick, and holds the mission's time in a pause."""
 
-    def sleep(self, seconds: float) -> None: ...
+    def sleep(self, seconds: float) -> None:
+        """Wait until so many seconds after the last wait was over, if that is still to come."""
+        ...
 
     def stand_still(self, still: bool) -> None: ...
 

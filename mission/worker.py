@@ -1,5 +1,6 @@
 """The perception worker: one spawned process, one stage at a time, killed and made anew when it hangs or dies."""
 
+import os
 import signal
 import time
 from collections.abc import Mapping
@@ -14,6 +15,9 @@ from pebble import ProcessExpired, ProcessPool
 from behaviours.services import Journal
 from drivers.jobs import Done, Failed, Job, Outcome, Running
 from perception.failure import Failure, FailureError
+
+NICENESS = 5
+"""The tick loop, whose beats keep the base going, wins a core from the worker; an idle one is all the worker's."""
 
 
 class PerceptionWorker:
@@ -31,9 +35,7 @@ class PerceptionWorker:
         self._run = run
         self._journal = journal
         self._deadline = deadline
-        # Ctrl-C reaches every process of a terminal; whether a stage ends for it is the mission's to say.
-        deaf = (signal.SIGINT, signal.SIG_IGN)
-        self._pool = ProcessPool(1, initializer=signal.signal, initargs=deaf, context=get_context("spawn"))
+        self._pool = ProcessPool(1, initializer=_settle, context=get_context("spawn"))
 
     def submit(self, stage: str, /, **arguments: object) -> Job[Any]:
         return _StageJob(self, stage, arguments)
@@ -103,6 +105,13 @@ class _StageJob:
             return self._failed(failure)
         self._future = self._worker.schedule(self._stage, self._arguments)
         return None
+
+
+def _settle() -> None:
+    """In the worker's process, before its first stage."""
+    # Ctrl-C reaches every process of a terminal; whether a stage ends for it is the mission's to say.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(NICENESS)
 
 
 def _run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, float]:

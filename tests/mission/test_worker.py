@@ -74,6 +74,12 @@ def test_a_stage_runs_in_one_process_of_its_own_and_is_on_record(
     assert first == second != Done(os.getpid())
 
 
+def test_the_tick_loop_goes_before_the_worker_on_a_busy_core(worker: PerceptionWorker) -> None:
+    found = outcome_of(worker.submit("niceness"))
+    assert isinstance(found, Done)
+    assert found.value == min(os.nice(0) + module.NICENESS, 19) > os.nice(0)
+
+
 def test_a_stage_that_refuses_comes_back_with_its_code_and_evidence(
     worker: PerceptionWorker, events: list[dict[str, Any]]
 ) -> None:

@@ -22,6 +22,10 @@ def process_id(run: Path) -> int:
     return os.getpid()
 
 
+def niceness(run: Path) -> int:
+    return os.nice(0)
+
+
 def refuse(run: Path, **_: Any) -> None:
     raise FailureError("REG_DEGENERATE", "slides along the corridor", min_eigenvalue=0.001)
 
@@ -45,4 +49,12 @@ def hang(run: Path) -> None:
     time.sleep(60)
 
 
-STAGES = {"add": add, "process_id": process_id, "refuse": refuse, "break_down": break_down, "die": die, "hang": hang}
+STAGES = {
+    "add": add,
+    "process_id": process_id,
+    "niceness": niceness,
+    "refuse": refuse,
+    "break_down": break_down,
+    "die": die,
+    "hang": hang,
+}

@@ -1,5 +1,6 @@
 """What is told after each tick, the same to all: state.json, the control socket, the display, the service manager."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
@@ -10,6 +11,9 @@ from mission.operator import Desk
 from mission.state import describe
 from mission.store import RunFolder
 from mission.watchdog import ServiceManager
+from perception.failure import FailureError
+
+log = logging.getLogger("mission")
 
 Display = Callable[[Executive, dict[str, Any]], None]
 """Shows progress after each tick: the executive, and the newest event of each kind."""
@@ -39,13 +43,14 @@ class Bulletin:
         self._now = now
         self._display = display
         self._manager = ServiceManager()
+        self._behind = False
 
     def tell(self, executive: Executive, tick: int) -> None:
         """After a tick."""
         if tick == 1:
             self._manager.ready()
-        if executive.changed:
-            self._folder.write_state(self.state(executive))
+        if executive.changed or self._behind:
+            self._behind = not self._wrote(self.state(executive))
         self._console.publish(self._figures(executive, tick))
         self._manager.tick(str(executive.course.state))
         if self._display is not None:
@@ -58,6 +63,16 @@ class Bulletin:
 
     def close(self) -> None:
         self._manager.stopping()
+
+    def _wrote(self, state: dict[str, Any]) -> bool:
+        """Whether the disk took the state; the mission goes by its ledger, and waits for this file never."""
+        try:
+            self._folder.write_state(state)
+        except FailureError as error:
+            if not self._behind:
+                log.warning("state.json is not of this tick: %s", error)
+            return False
+        return True
 
     def _figures(self, executive: Executive, tick: int) -> dict[str, Any]:
         survey = executive.survey

@@ -7,6 +7,7 @@ act, and then begins the next job, or the last one again by its old name, which 
 """
 
 import json
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,9 +16,12 @@ from typing import Any, TypeVar
 from behaviours.services import Clock
 from drivers.interfaces import BaseState
 from drivers.jobs import Done, Failed, Job, Outcome, Running
+from mission.footing import Footing
 from mission.ledger import JobRow, Ledger
 from mission.values import from_json, to_json
 from perception.failure import Failure, FailureError
+
+log = logging.getLogger("mission")
 
 T = TypeVar("T")
 
@@ -42,7 +46,9 @@ class Chronicle:
         self._moved = False
         self._may_act = not self._told
         self._sensed: BaseState | None = None
+        self._footing = _footing(self._told)
         self._divergence: FailureError | None = None
+        self._owed: list[tuple[int, float]] = []
 
     @property
     def telling(self) -> bool:
@@ -82,8 +88,15 @@ class Chronicle:
             then = from_json(json.loads(self._told[self._next].world))
             # What the work goes by is of the past; whether the base is well, and whose, is the watch's, and of now.
             live = then and replace(then, emergency_stop=False, age=0.0, owner=live.owner if live else "")
+        elif live is not None:
+            live = self._footing.named(live)
         self._sensed = live
         return live
+
+    @property
+    def odom_frame(self) -> str:
+        """What the odometry was told in that was sensed last."""
+        return self._sensed.odom_frame if self._sensed else ""
 
     def begin(self, kind: str, name: str, start: Callable[[], Job[T]], acts: bool = False) -> Job[T]:
         """Begin a job, or tell its outcome if it is known.
@@ -98,7 +111,7 @@ class Chronicle:
         """
         if not self.telling:
             world = json.dumps(to_json(self._sensed))
-            return _LivedJob(self, lambda: self._ledger.begin(kind, name, world, self.now(), acts), start)
+            return _LivedJob(self, lambda: self._write_down(kind, name, world, acts), start)
         row = self._told[self._next]
         if (row.kind, row.name) != (kind, name):
             # Kept as well as raised: a leaf makes an ordinary failure of what its job raises.
@@ -121,8 +134,26 @@ class Chronicle:
     def may_act(self) -> bool:
         return self._may_act
 
-    def ended(self, seq: int, how: str, outcome: object) -> None:
-        self._ledger.end(seq, how, json.dumps(to_json(outcome)), self.now())
+    def ended(self, seq: int, how: str, outcome: str) -> None:
+        """Write down what a job came to, JSON."""
+        self._settle()
+        self._ledger.end(seq, how, outcome, self.now())
+
+    def given_up(self, seq: int) -> None:
+        """Write down that a job was cancelled; on a full disk, before anything else that is written."""
+        self._owed.append((seq, self.now()))
+        with waiting_for_room():
+            self._settle()
+
+    def _write_down(self, kind: str, name: str, world: str, acts: bool) -> int:
+        self._settle()
+        return self._ledger.begin(kind, name, world, self.now(), acts)
+
+    def _settle(self) -> None:
+        while self._owed:
+            seq, at = self._owed[0]
+            self._ledger.end(seq, "cancelled", "null", at)
+            del self._owed[0]
 
 
 class _ToldJob:
@@ -162,12 +193,11 @@ class _LivedJob:
         if self._job is None and not self._act():
             return Running(None, "waits for leave to go on, or for room on the disk")
         assert self._job is not None
-        outcome = self._job.poll()
-        how, value = _ending(outcome)
-        if not how:
+        outcome, ending = _asked(self._job)
+        if ending is None:
             return outcome
         with waiting_for_room():
-            self._chronicle.ended(self._seq, how, value)
+            self._chronicle.ended(self._seq, *ending)
             self._outcome = outcome
         return self._outcome or Running(None, "waits for room on the disk")
 
@@ -176,21 +206,68 @@ class _LivedJob:
             self._outcome = Failed(Failure("CANCELLED", "the job was cancelled"))
             if self._job is not None:
                 self._job.cancel()
-                self._chronicle.ended(self._seq, "cancelled", None)
+                self._chronicle.given_up(self._seq)
 
     def _act(self) -> bool:
         """Begin it, if that may be; written down first, for nobody may act whom a full disk keeps from saying so."""
         if self._chronicle.may_act():
             with waiting_for_room():
                 self._seq = self._write_down()
-                self._job = self._start()
+                self._job = _begun(self._start)
         return self._job is not None
 
 
-def _ending(outcome: Outcome[Any]) -> tuple[str, object]:
-    if isinstance(outcome, Done):
-        return "done", outcome.value
-    return ("failed", outcome.failure) if isinstance(outcome, Failed) else ("", None)
+class _Stillborn:
+    """A job that could not be begun."""
+
+    def __init__(self, failure: Failure) -> None:
+        self._failure = failure
+
+    def poll(self) -> Outcome[Any]:
+        return Failed(self._failure)
+
+    def cancel(self) -> None:
+        """There is nothing to cancel."""
+
+
+def _begun(start: Callable[[], Job[Any]]) -> Job[Any]:
+    """What is written down as begun has an end, also where its driver raises at once."""
+    try:
+        return start()
+    except Exception as error:
+        return _Stillborn(_as_failure(error))
+
+
+def _asked(job: Job[Any]) -> tuple[Outcome[Any], tuple[str, str] | None]:
+    """What a job came to, and how and with what that is written down; None while it runs.
+
+    A driver that raises, or gives what could not be told again, has failed: the tree must hear now what it would hear
+    in a mission that is resumed.
+    """
+    try:
+        outcome = job.poll()
+        if isinstance(outcome, Done):
+            return outcome, ("done", json.dumps(to_json(outcome.value)))
+        if not isinstance(outcome, Failed):
+            return outcome, None
+        return outcome, ("failed", json.dumps(to_json(outcome.failure)))
+    except Exception as error:
+        job.cancel()
+        failure = _as_failure(error)
+        return Failed(failure), ("failed", json.dumps(to_json(failure)))
+
+
+def _as_failure(error: Exception) -> Failure:
+    if isinstance(error, FailureError):
+        return error.failure
+    log.error("a driver failed", exc_info=error)
+    return Failure("DRIVER_EXCEPTION", f"{type(error).__name__}: {error}")
+
+
+def _footing(told: list[JobRow]) -> Footing:
+    if not told:
+        return Footing(None, led=False)
+    return Footing(from_json(json.loads(told[-1].world)), led=told[-1].kind == "drive")
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
+from drivers.disk import writing
 from drivers.jobs import Progress
 from drivers.messages import Body, Command, Name, Problem, Query, Reply, Stale
 from drivers.wire.client import Link, Patience
@@ -193,5 +194,6 @@ def _is_alive(pid: int) -> bool:
 
 def _write_private(path: Path, text: str) -> None:
     path.unlink(missing_ok=True)  # left by an executive that was killed
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as stream:
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with writing(path), os.fdopen(handle, "w", encoding="utf-8") as stream:
         stream.write(text)

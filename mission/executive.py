@@ -15,6 +15,7 @@ from behaviours.keys import Key
 from behaviours.services import Services
 from behaviours.survey import Survey, Target
 from drivers.jobs import Running
+from mission.attempt import attempt
 from mission.phase import DRIVING, NOTHING, Course, Phase, State, under_way
 from perception.failure import Failure, FailureError
 
@@ -23,6 +24,7 @@ log = logging.getLogger("mission")
 TICK = 0.1
 """Seconds of the wall from one tick to the next."""
 
+_ON_THE_WAY_OUT = "on the way out"
 _STOP_PATIENCE = 50
 """Ticks that the base is given to confirm that it stands still when the mission ends."""
 
@@ -93,7 +95,7 @@ class Executive:
             raise
         finally:
             self._come_to_rest()
-            _attempt(lambda: self.course.enter(State.at_the_end(outcome, cause)))
+            attempt(_ON_THE_WAY_OUT, lambda: self.course.enter(State.at_the_end(outcome, cause)))
         return outcome
 
     @property
@@ -117,7 +119,7 @@ class Executive:
             log.error("the tick failed", exc_info=error)
             cause = Failure("TICK_EXCEPTION", repr(error))
         note = {"leaf": "tick", "code": cause.code, "message": cause.message}
-        _attempt(lambda: self._services.journal.record("failure", **note))
+        attempt(_ON_THE_WAY_OUT, lambda: self._services.journal.record("failure", **note))
         return cause
 
     def _tick_to_the_end(self) -> str:
@@ -180,9 +182,9 @@ class Executive:
         """Stop every node and the base, whichever of them, or the journal, is what failed."""
         for node in self.root.iterate():
             # Each by itself: after an exception in mid-tick a parent may not know that its child runs.
-            _attempt(partial(node.stop, Status.INVALID))
-        _attempt(self._stand_still)
-        _attempt(self._record_transitions)
+            attempt(_ON_THE_WAY_OUT, partial(node.stop, Status.INVALID))
+        attempt(_ON_THE_WAY_OUT, self._stand_still)
+        attempt(_ON_THE_WAY_OUT, self._record_transitions)
 
     def _stand_still(self) -> None:
         stop = self._services.base.stop()
@@ -223,13 +225,6 @@ def _quantile(values: "array[float]", share: float) -> float:
 
 def _on_blackboard(key: Key) -> object:
     return Blackboard.get(key) if Blackboard.exists(key) else None
-
-
-def _attempt(act: Callable[[], object]) -> None:
-    try:
-        act()
-    except Exception:
-        log.exception("on the way out")
 
 
 def _named_paths(node: Behaviour, above: str = "") -> Iterator[tuple[Behaviour, str]]:

@@ -1,6 +1,7 @@
 """The event log: one JSON object a line, in the order things happened, readable while the mission runs."""
 
 import json
+import os
 import threading
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
@@ -10,23 +11,35 @@ from typing import Any
 import numpy as np
 
 from behaviours.services import Clock
+from drivers.disk import writing
 from mission.ledger import Ledger
 
 
 class JsonLines:
     """Appends events to ``events.jsonl``; each line is on its way to the disk before the next tick.
 
+    Nobody waits for it: what the disk does not take now is written, in its order, with a later event. There is never
+    half a line before a whole one.
+
     Args:
         path: the file, made if absent.
         clock: gives ``t`` in mission seconds.
         watch: also called with each event, for a display.
+
+    Raises:
+        FailureError: ``DISK_FULL``, ``IO_ERROR`` when there is no file to begin with.
     """
 
     def __init__(self, path: Path, clock: Clock, watch: Callable[[dict[str, Any]], None] | None = None) -> None:
         self._clock = clock
         self._watch = watch
         self._lock = threading.Lock()
-        self._stream = path.open("a", encoding="utf-8", buffering=1)
+        self._waiting = b""
+        with writing(path):
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            # A line that a power cut broke off would swallow the next one.
+            self._size = path.read_bytes().rfind(b"\n") + 1
+            os.ftruncate(self._file, self._size)
 
     def record(self, kind: str, /, **figures: object) -> None:
         self.write(stamped(self._clock, kind, figures))
@@ -35,12 +48,27 @@ class JsonLines:
         """Append an event that has its time already."""
         line = json.dumps(event, default=plain)
         with self._lock:
-            self._stream.write(line + "\n")
+            self._waiting += f"{line}\n".encode()
+            self._write_out()
         if self._watch is not None:
             self._watch(event)
 
     def close(self) -> None:
-        self._stream.close()
+        with self._lock:
+            self._write_out()
+            os.close(self._file)
+
+    def _write_out(self) -> None:
+        """All lines that wait, or none of them."""
+        left = memoryview(self._waiting)
+        try:
+            while left:
+                left = left[os.write(self._file, left) :]
+        except OSError:
+            os.ftruncate(self._file, self._size)
+        else:
+            self._size += len(self._waiting)
+            self._waiting = b""
 
 
 class DurableJournal:

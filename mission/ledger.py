@@ -67,6 +67,7 @@ class Ledger:
         self.path = path
         self._lock = threading.Lock()
         self._last_hash = _FIRST
+        self._broken: FailureError | None = None
         try:
             self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=0.5)
             # Before WAL: an exclusive WAL needs no shared memory, and turns a second executive away at once.
@@ -170,9 +171,12 @@ class Ledger:
         """One transaction: all of it is written when the block is left, or none of it ever is.
 
         Raises:
-            FailureError: ``DISK_FULL``, which passes when there is room again; ``IO_ERROR``, which does not.
+            FailureError: ``DISK_FULL``, which passes when there is room again; ``IO_ERROR``, which does not: nobody
+                knows what the disk has of the file then, so it is not written to any more, nor is it believed to be.
         """
         with self._lock:
+            if self._broken is not None:
+                raise self._broken
             try:
                 self._db.execute(f"PRAGMA synchronous={'FULL' if durably else 'NORMAL'}")
                 self._db.execute("BEGIN IMMEDIATE")
@@ -180,8 +184,10 @@ class Ledger:
                 self._db.execute("COMMIT")
             except sqlite3.OperationalError as error:
                 self._roll_back()
-                code = "DISK_FULL" if "full" in str(error) else "IO_ERROR"
-                raise FailureError(code, f"{self.path}: {error}", path=str(self.path)) from error
+                if "full" in str(error):
+                    raise FailureError("DISK_FULL", f"{self.path}: {error}", path=str(self.path)) from error
+                self._broken = FailureError("IO_ERROR", f"{self.path}: {error}", path=str(self.path))
+                raise self._broken from error
             except BaseException:
                 self._roll_back()
                 raise

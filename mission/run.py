@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from typing import Any
 
 from behaviours.services import Journal, Services
-from drivers.interfaces import Lease
 from drivers.wire.base_client import BaseClient
 from drivers.wire.scanner_client import ScannerClient
+from mission.attempt import attempt
 from mission.bulletin import Bulletin, Display
 from mission.chronicle import Chronicle, waiting_for_room
 from mission.clock import MissionClock
@@ -67,7 +67,7 @@ def run_mission(
         lines = JsonLines(folder.events, clock, watch=lambda event: newest.update({event["kind"]: event}))
         stack.callback(lines.close)
         journal = DurableJournal(ledger, lines, clock)
-        stack.callback(journal.commit)
+        stack.callback(attempt, "the last events are not in the ledger", journal.commit)
         word, desk = Word(), Desk(clock, journal, config.settings.operator.ask)
         if chronicle.telling and not go_on_at_once:
             word.pause()
@@ -81,7 +81,6 @@ def run_mission(
             lease = stack.enter_context(ownership(base))
         except FailureError as error:
             raise UnreachableError(f"base: {error}") from error
-        know_the_base(ledger, lease)
         worker = PerceptionWorker(folder.path, journal)
         stack.callback(worker.close)
         worker.submit("warm_up")
@@ -116,23 +115,8 @@ def run_mission(
         }
         journal.record("mission_ended", outcome=outcome, tick_ms=executive.tick_ms())
         state = bulletin.state(executive) | ended
-        folder.write_state(state)
+        attempt("state.json does not tell the end", lambda: folder.write_state(state))
     return summarise(folder, state)
-
-
-def know_the_base(ledger: Ledger, lease: Lease) -> None:
-    """An interrupted mission knows where its robot stands by the base's odometry, which begins anew with its agent.
-
-    Raises:
-        UnreachableError: when the base's agent is another than the mission began with.
-    """
-    known = ledger.about("base_epoch")
-    if known is not None and known != str(lease.epoch):
-        raise UnreachableError(
-            "base: its agent was started anew since this mission was interrupted, so nobody knows where the robot "
-            "stands; what was scanned is kept, and `mission report` shows it"
-        )
-    ledger.note("base_epoch", str(lease.epoch))
 
 
 def commit(journal: DurableJournal) -> None:

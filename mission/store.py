@@ -14,6 +14,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.disk import writing
+from drivers.wire.spool import sync_folder
 from mission.journal import plain
 from perception.grids import Grid, VoxelSpace
 
@@ -78,6 +80,10 @@ class RunFolder:
         return self.simulation / "agents.json"
 
     @property
+    def report(self) -> Path:
+        return self.path / "report.html"
+
+    @property
     def comparisons(self) -> Path:
         """What the pose graph found of each pair of scans that it compared."""
         return self.path / "evidence" / "comparisons.json"
@@ -105,17 +111,17 @@ class RunFolder:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         # Often, and made of what the ledger has: a power cut may cost the last one.
-        write_text(self.state, json.dumps(state, default=plain, indent=1), durably=False)
+        write_text(self.state, json.dumps(state, default=plain), durably=False)
 
 
 def write_text(path: Path, text: str, durably: bool = True) -> None:
-    """Write a whole text file or none of it."""
+    """Write a whole text file or none of it. Raises ``DISK_FULL``, ``IO_ERROR``."""
     with _whole(path, durably) as stream:
         stream.write(text.encode("utf-8"))
 
 
 def write_arrays(path: Path, **arrays: object) -> None:
-    """Write an ``.npz`` of plain arrays, whole or not at all."""
+    """Write an ``.npz`` of plain arrays, whole or not at all. Raises ``DISK_FULL``, ``IO_ERROR``."""
     values: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
     with _whole(path, durably=True) as stream:
         np.savez_compressed(stream, **values)
@@ -123,20 +129,37 @@ def write_arrays(path: Path, **arrays: object) -> None:
 
 @contextmanager
 def _whole(path: Path, durably: bool) -> Iterator[BinaryIO]:
-    """A file that is seen under its name when it is whole, and on the disk then if ``durably``."""
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as stream:
+    """A file that is seen under its name when it is whole, and on the disk then if ``durably``.
+
+    Raises:
+        FailureError: ``DISK_FULL``, ``IO_ERROR``; nothing is left then but what had the name before.
+    """
+    with whole_file(path) as partial, partial.open("wb") as stream:
         yield stream
         stream.flush()
         if durably:
             os.fsync(stream.fileno())
-    partial.replace(path)
     if durably:
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)  # without it the name may be gone after a power cut though the bytes are there
-        finally:
-            os.close(folder)
+        with writing(path):
+            sync_folder(path.parent)  # without it the name may be gone after a power cut though the bytes are there
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """The name to write a file under that is seen as ``path`` when the block has ended well.
+
+    Raises:
+        FailureError: ``DISK_FULL``, ``IO_ERROR``.
+    """
+    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
+    try:
+        with writing(path):
+            yield partial
+            partial.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:

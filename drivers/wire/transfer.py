@@ -1,12 +1,15 @@
 """Bringing a stored scan over: chunk by chunk with a few asked ahead, each checked, into a file that can be resumed."""
 
+import errno
 import hashlib
 import os
 import uuid
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.disk import is_full
 from drivers.interfaces import ScanReceipt
 from drivers.jobs import Progress
 from drivers.messages import Chunk, Manifest, Open, Problem, Read
@@ -26,16 +29,16 @@ def fetch(link: Link, receipt: ScanReceipt, destination: Path, patience: Patienc
     What an earlier attempt left in ``<destination>.part`` is checked against the hash of each chunk and kept.
 
     Raises:
-        FailureError: ``SCAN_UNKNOWN``, ``SCAN_RELEASED``, ``XFER_BROKEN`` (hashes), ``XFER_WRITE_FAILED`` (disk),
-            ``AGENT_UNREACHABLE``, ``CANCELLED``.
+        FailureError: ``SCAN_UNKNOWN``, ``SCAN_RELEASED``, ``XFER_BROKEN`` (hashes), ``DISK_FULL``,
+            ``XFER_WRITE_FAILED`` (the disk, for any other reason), ``AGENT_UNREACHABLE``, ``CANCELLED``.
     """
+    part = destination.with_name(destination.name + ".part")
     try:
         if destination.exists() and sha256_of(destination) == receipt.sha256:
             return destination
         manifest = link.ask(Open(receipt.scan_id), Manifest)
         if (manifest.size, manifest.sha256) != (receipt.size, receipt.sha256):
             raise _broken(receipt, "the agent holds another scan of this name", expected=receipt.sha256)
-        part = destination.with_name(destination.name + ".part")
         part.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(part, os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -51,9 +54,11 @@ def fetch(link: Link, receipt: ScanReceipt, destination: Path, patience: Patienc
         part.replace(destination)
         sync_folder(destination.parent)
     except OSError as error:
-        raise FailureError(
-            "XFER_WRITE_FAILED", f"{destination} cannot be written: {error.strerror}", file=str(destination)
-        ) from error
+        # What a disk did not take it may yet show from memory: the next attempt must not take that for written.
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        code = "DISK_FULL" if is_full(error) else "XFER_WRITE_FAILED"
+        raise FailureError(code, f"{destination} cannot be written: {error.strerror}", file=str(destination)) from error
     return destination
 
 
@@ -156,6 +161,8 @@ def _write_at(handle: int, data: bytes, offset: int) -> None:
     view = memoryview(data)
     while view:  # a nearly full disk takes a part and raises nothing
         written = os.pwrite(handle, view, offset)
+        if not written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         view, offset = view[written:], offset + written
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pye57 import libe57
 
 from mission.report.run import Record, Run, read_run
+from mission.store import whole_file
 from perception import transforms
 from perception.failure import FailureError
 from perception.scan import Scan
@@ -32,18 +33,16 @@ def write_e57(folder: Path) -> Path:
     """
     run = read_run(folder)
     path = run.folder / "building.e57"
-    unfinished = path.with_suffix(".part")
     scanner = _scanner_of(run)
     written = 0
-    with _Image(unfinished, run.state.get("ended")) as image:
-        for record, pose, scan in run.clouds():
-            if len(scan.points):
-                _write_set_up(image, record, pose, scan, scanner)
-                written += 1
-    if not written:
-        unfinished.unlink()
-        raise FailureError("EXPORT_NOTHING", f"{run.folder} holds no registered scan to export")
-    unfinished.replace(path)
+    with whole_file(path) as partial:
+        with _Image(partial, run.state.get("ended")) as image:
+            for record, pose, scan in run.clouds():
+                if len(scan.points):
+                    _write_set_up(image, record, pose, scan, scanner)
+                    written += 1
+        if not written:
+            raise FailureError("EXPORT_NOTHING", f"{run.folder} holds no registered scan to export")
     return path
 
 

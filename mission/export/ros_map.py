@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import yaml
 
+from mission.store import whole_file, write_text
 from perception.failure import FailureError
 from perception.grids import Cell, Grid
 
@@ -27,7 +28,8 @@ def write_ros_map(grid: Grid, stem: Path) -> tuple[Path, Path]:
     shades = np.array([_GREY[cell] for cell in Cell], np.uint8)
     # The image's first row is its top, the grid's first row is the lowest y.
     encoded = cv2.imencode(".pgm", np.ascontiguousarray(shades[grid.data.astype(np.intp)][::-1]))[1]
-    image.write_bytes(encoded.tobytes())
+    with whole_file(image) as partial:
+        partial.write_bytes(encoded.tobytes())
     fields = {
         "image": image.name,
         "mode": "trinary",
@@ -37,7 +39,7 @@ def write_ros_map(grid: Grid, stem: Path) -> tuple[Path, Path]:
         "occupied_thresh": _OCCUPIED,
         "free_thresh": _FREE,
     }
-    description.write_text(yaml.safe_dump(fields, sort_keys=False))
+    write_text(description, yaml.safe_dump(fields, sort_keys=False))
     return image, description
 
 

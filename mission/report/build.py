@@ -12,6 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoes
 from mission.report import pictures, tables, timing, watch
 from mission.report.recorded import recorded
 from mission.report.run import Run, read_run
+from mission.store import RunFolder, write_text
 
 Report = dict[str, Any]
 
@@ -23,15 +24,15 @@ def write_report(folder: Path) -> Path:
         Path of ``report.html``: one file that asks for nothing else.
 
     Raises:
-        FailureError: ``RUN_UNREADABLE`` if the folder holds no run.
+        FailureError: ``RUN_UNREADABLE`` if the folder holds no run, ``DISK_FULL``, ``IO_ERROR``.
     """
     run = read_run(folder)
     report = collect(run)
     drawn = pictures.draw_all(run)
     report["pictures"] = [str(picture.path.relative_to(run.folder)) for picture in drawn]
-    (run.folder / "report.json").write_text(json.dumps(report, indent=1, default=str) + "\n")
-    page = run.folder / "report.html"
-    page.write_text(render(report, drawn))
+    write_text(run.folder / "report.json", json.dumps(report, indent=1, default=str) + "\n")
+    page = RunFolder(folder).report
+    write_text(page, render(report, drawn))
     return page
 
 

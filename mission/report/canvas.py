@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mission.store import whole_file
 from perception.grids import Grid
 
 INK, MUTED, PAPER = "#1f2933", "#7b8794", "#ffffff"
@@ -44,7 +45,8 @@ def canvas(
     yield axes
     _scale_bar(axes, extent)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=130)
 
 
 def extent_of(points: NDArray[np.floating], margin: float = 0.8) -> tuple[float, float, float, float]:

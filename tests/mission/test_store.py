@@ -1,5 +1,6 @@
 """The run folder: names, and files that are whole or not there."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from mission import store
 from mission.store import RunFolder
+from perception.failure import FailureError
 from perception.grids import Cell, Grid, Label, VoxelSpace
 
 
@@ -58,10 +60,10 @@ def test_a_writer_that_is_cut_off_is_never_read(tmp_path: Path, monkeypatch: pyt
     store.write_arrays(path, a=[1, 2])
 
     def cut_off(*_: object, **__: object) -> None:
-        raise OSError("the disk is full")
+        raise OSError(errno.EIO, "the disk is broken")
 
     monkeypatch.setattr(np, "savez_compressed", cut_off)
-    with pytest.raises(OSError, match="full"):
+    with pytest.raises(FailureError, match=r"IO_ERROR.*a\.npz"):
         store.write_arrays(path, a=[3])
     assert store.read_arrays(path)["a"].tolist() == [1, 2]
 

@@ -18,7 +18,7 @@ from drivers.jobs import Done, Failed, Outcome, Running
 from drivers.simulated.clock import VirtualClock
 from mission.summaries import MapSummary, ScanSummary
 from perception import transforms
-from perception.failure import Failure
+from perception.failure import Failure, FailureError
 from perception.findings import (
     Alignment,
     Candidate,
@@ -67,6 +67,16 @@ class ScriptedJob:
     def cancel(self) -> None:
         self.cancelled = self.outcome is None
 
+    def conclude_with(self, act: Callable[[], object]) -> None:
+        """Where all goes well, this gives the value; unless it ended before."""
+        conclude = self._conclude
+
+        def concluded() -> Outcome[Any]:
+            outcome = conclude()
+            return Done(act()) if isinstance(outcome, Done) else outcome
+
+        self._conclude = concluded
+
 
 @dataclass
 class Script:
@@ -94,7 +104,10 @@ class Script:
         told = self._told.get((operation, self.calls[operation]))
 
         def conclude() -> Outcome[Any]:
-            value = act() if told is None else told
+            try:
+                value = act() if told is None else told
+            except FailureError as error:
+                value = error.failure
             return Failed(value) if isinstance(value, Failure) else Done(value)
 
         seconds = float("inf") if told is HANG else SECONDS.get(operation, 10.0)
@@ -120,6 +133,9 @@ class ScriptedBase:
         self.emergency_stop = False
         self.battery = 0.9
         self.silent_since: float | None = None
+        self.odom_from_map = ODOM_FROM_MAP
+        self.boots = 1
+        self.was_placed = False
         self.beats: list[tuple[int, bool]] = []
         self._script = script
 
@@ -129,15 +145,24 @@ class ScriptedBase:
 
     def state(self) -> BaseState | None:
         age = 0.0 if self.silent_since is None else self._script.clock.now() - self.silent_since
-        odometry = ODOM_FROM_MAP @ self.map_from_base
-        return BaseState(odometry, None, False, self.emergency_stop, self.battery, "idle", age, self.owner)
+        odometry = self.odom_from_map @ self.map_from_base
+        return BaseState(
+            odometry, None, False, self.emergency_stop, self.battery, "idle", age, self.owner, f"boot {self.boots}"
+        )
+
+    def reboot(self, at: tuple[float, float, float] | None = None) -> None:
+        """Its agent begins anew, where the base stands or where somebody has put it: odometry from zero, no owner."""
+        for job in self._script.jobs:
+            if job.what == "drive" and not job.over:
+                job.outcome = Failed(Failure("NAV_INTERRUPTED", "the base began anew", {"track": [], "distance": 0.0}))
+        self.pose = at or self.pose
+        self.odom_from_map = transforms.inverse(self.map_from_base)
+        self.boots += 1
+        self.owner, self.was_placed = "", False
 
     def acquire(self, owner: str) -> ScriptedJob:
-        def grant() -> Lease:
-            self.owner = owner
-            return Lease(1, 1, owner)
-
-        return self._script.job("acquire", grant)
+        self.owner = self.owner or owner
+        return self._script.job("acquire", lambda: Lease(self.boots, 1, owner))
 
     def beat(self, tick: int, may_move: bool) -> None:
         assert not self.beats or tick > self.beats[-1][0], "the same tick beats once"
@@ -150,6 +175,7 @@ class ScriptedBase:
         assert goal.goal_id not in {known.goal_id for known in self.goals}, "a goal is never driven twice"
         if goal.map_from_base is not None:
             assert np.allclose(goal.map_from_base, self.map_from_base), "the base is not where it is said to be"
+            self.was_placed = True
         self.goals.append(goal)
         self.commands.append("drive")
         return self._script.job("drive", lambda: self._arrive(goal))
@@ -163,6 +189,8 @@ class ScriptedBase:
             return Failure("ESTOP", "the emergency stop is pressed", {"track": [], "distance": 0.0})
         if self.silent_since is not None:
             return Failure("AGENT_UNREACHABLE", "no answer")
+        if not self.was_placed:
+            return Failure("NAV_STUCK", "the base was never told where it stands", {"track": [], "distance": 0.0})
         start, target = self.pose[:2], (goal.x, goal.y)
         way = self.site.way(start, target)
         if way is None:
@@ -211,7 +239,7 @@ class ScriptedScanner:
 
     def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> ScriptedJob:
         assert scan_id not in self.taken, "the same name is never taken twice"
-        assert np.allclose(odom_from_base, ODOM_FROM_MAP @ self._base.map_from_base)
+        assert np.allclose(odom_from_base, self._base.odom_from_map @ self._base.map_from_base)
         self.taken[scan_id] = self._base.map_from_base
         return self._script.job("take", lambda: _receipt(scan_id))
 

@@ -9,7 +9,6 @@ import pytest
 
 from behaviours.services import Services
 from behaviours.settings import Settings
-from drivers.interfaces import DriveGoal, ScanSettings
 from mission.chronicle import Chronicle
 from mission.clock import MissionClock
 from mission.executive import TICK, Executive
@@ -19,10 +18,10 @@ from mission.operator import Desk, Word
 from mission.remembering import heeding, remembering
 from mission.state import describe
 from perception.failure import FailureError
-from perception.transforms import Matrix
+from tests.scenarios.lasting import LastingBase, LastingScanner
 from tests.scenarios.monitor import Monitor
 from tests.scenarios.play import TICK_S
-from tests.scenarios.scripted import FreeFloor, Script, ScriptedBase, ScriptedJob, ScriptedPerception, ScriptedScanner
+from tests.scenarios.scripted import FreeFloor, Script, ScriptedPerception
 from tests.scenarios.site import Site, row
 from trees.building import create_root
 
@@ -57,32 +56,6 @@ class MortalLedger(Ledger):
         if self.dead or (self.writes == self._dies_at and before is not self._after):
             self.dead = True
             raise Dies
-
-
-class LastingBase(ScriptedBase):
-    """A base agent as it is: asked for a goal that it knows, it says how that goes."""
-
-    def __init__(self, site: Site, script: Script) -> None:
-        super().__init__(site, script)
-        self._jobs: dict[str, ScriptedJob] = {}
-
-    def drive(self, goal: DriveGoal) -> ScriptedJob:
-        if goal.goal_id not in self._jobs:
-            self._jobs[goal.goal_id] = super().drive(goal)
-        return self._jobs[goal.goal_id]
-
-
-class LastingScanner(ScriptedScanner):
-    """A scanner agent as it is: a name is taken once."""
-
-    def __init__(self, base: ScriptedBase, script: Script) -> None:
-        super().__init__(base, script)
-        self._jobs: dict[str, ScriptedJob] = {}
-
-    def take(self, scan_id: str, settings: ScanSettings, odom_from_base: Matrix) -> ScriptedJob:
-        if scan_id not in self._jobs:
-            self._jobs[scan_id] = super().take(scan_id, settings, odom_from_base)
-        return self._jobs[scan_id]
 
 
 class MortalExecutive(Executive):

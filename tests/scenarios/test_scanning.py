@@ -1,6 +1,7 @@
 """Missions whose scanner has a bad day."""
 
 import numpy as np
+import pytest
 
 from tests.scenarios.play import Play
 from tests.scenarios.scripted import EVER, HANG, TWICE
@@ -73,15 +74,41 @@ def test_a_scan_that_never_ends_is_cancelled_and_taken_again() -> None:
     assert play.clock.now() > play.settings.scanning.timeout_s
 
 
-def test_a_broken_transfer_a_refused_cloud_and_no_floor_are_all_reasons_to_scan_again() -> None:
+def test_a_refused_cloud_and_no_floor_are_reasons_to_scan_again() -> None:
     """Each stage on the way to an aligned scan fails once, in a scan of its own."""
     play = Play(row(1))
-    play.script.fail("fetch", "XFER_BROKEN", [1]).fail("validate_scan", "SCAN_TILT", [2])
-    play.script.fail("align_scan", "ALIGN_NO_FLOOR", [2])
+    play.script.fail("validate_scan", "SCAN_TILT", [2]).fail("align_scan", "ALIGN_NO_FLOOR", [2])
     assert play.run() == "complete"
-    assert play.events.codes == ["XFER_BROKEN", "SCAN_TILT", "ALIGN_NO_FLOOR"]
-    assert play.calls["take"] == 5
+    assert play.events.codes == ["SCAN_TILT", "ALIGN_NO_FLOOR"]
+    assert play.calls["take"] == 4
     assert len(play.survey.scans) == 2
+
+
+@pytest.mark.parametrize("code", ["XFER_BROKEN", "XFER_WRITE_FAILED", "DISK_FULL", "AGENT_UNREACHABLE"])
+def test_a_scan_that_did_not_come_home_is_fetched_again_and_not_taken_again(code: str) -> None:
+    """The scanner still has it: 45 seconds of standing still are worth another transfer."""
+    play = Play(row(1))
+    play.script.fail("fetch", code, TWICE)
+    assert play.run() == "complete"
+    assert play.events.codes == [code, code]
+    assert (play.calls["take"], play.calls["fetch"]) == (2, 4)
+
+
+def test_a_transfer_that_never_ends_is_given_up_and_named() -> None:
+    """Each attempt has its deadline; another scan would come home no better."""
+    play = Play(row(1))
+    play.script.answer("fetch", HANG, LATER)
+    assert play.run() == "incomplete"
+    assert play.rooms == {"A": ("partial", "XFER_TIMEOUT")}
+    assert (play.calls["take"], play.calls["fetch"]) == (2, 4)
+    assert play.clock.now() < 3 * play.settings.scanning.fetch_timeout_s + 600.0
+
+
+def test_data_that_arrives_broken_again_and_again_is_a_reason_to_scan_again() -> None:
+    play = Play(row(1))
+    play.script.fail("fetch", "XFER_BROKEN", range(1, 4))
+    assert play.run() == "complete"
+    assert (play.calls["take"], play.calls["fetch"]) == (3, 5)
 
 
 def test_a_scanner_that_is_gone_is_not_asked_again_and_again() -> None:

@@ -1,0 +1,123 @@
+"""A disk that fails at its n-th operation below one folder, whoever asks: descriptors, streams and SQLite."""
+
+import errno
+import io
+import os
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from enum import Enum
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+
+class Way(Enum):
+    """How it fails: full until somebody makes room, an error once, or no more than one byte taken once."""
+
+    FULL = "ENOSPC"
+    ERROR = "EIO"
+    SHORT = "short write"
+
+
+class BadDisk:
+    """Counts what is asked of the disk, and fails at one of it.
+
+    Args:
+        folder: whose files lie on it.
+        way: how it fails.
+        at: the number of the operation, from one; None for a disk that is good.
+    """
+
+    def __init__(self, folder: Path, way: Way, at: int | None) -> None:
+        self.operations = 0
+        self.hit = ""
+        self.full = False
+        self._folder = str(folder.resolve())
+        self._way = way
+        self._at = at
+
+    def make_room(self) -> None:
+        self.full = False
+
+    def asked(self, what: str, path: object) -> bool:
+        """Something is asked of a file; whether no more than a byte of it may be taken. Raises OSError."""
+        if not self.holds(path):
+            return False
+        self.operations += 1
+        if self.operations == self._at:
+            self.hit = f"{what} {Path(str(path)).name}"
+            self.full = self._way is Way.FULL
+            if self._way is Way.ERROR:
+                raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+        if self.full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return self._way is Way.SHORT and self.operations == self._at
+
+    def holds(self, path: object) -> bool:
+        return str(path).startswith(self._folder)
+
+    @contextmanager
+    def mounted(self) -> Iterator["BadDisk"]:
+        """Every write below the folder goes to this disk inside."""
+        with ExitStack() as stack:
+            for name, by in (("write", self._write), ("pwrite", self._write)):
+                stack.enter_context(patch.object(os, name, partial(by, getattr(os, name))))
+            for name in ("fsync", "posix_fallocate", "replace"):
+                stack.enter_context(patch.object(os, name, partial(self._call, name, getattr(os, name))))
+            stack.enter_context(patch.object(Path, "open", _opening(self, Path.open)))
+            connect = partial(sqlite3.connect, factory=self._connection())
+            stack.enter_context(patch("mission.ledger.sqlite3.connect", connect))
+            yield self
+
+    def _call(self, name: str, real: Callable[..., Any], target: Any, *rest: Any) -> Any:
+        self.asked(name, self._path(target))
+        return real(target, *rest)
+
+    def _write(self, real: Callable[..., int], handle: int, data: Any, *rest: Any) -> int:
+        short = self.asked("write", self._path(handle))
+        return real(handle, memoryview(data)[:1] if short else data, *rest)
+
+    def _path(self, target: Any) -> object:
+        return Path(f"/proc/self/fd/{target}").readlink() if isinstance(target, int) else target
+
+    def _connection(self) -> type[sqlite3.Connection]:
+        disk = self
+
+        class Connection(sqlite3.Connection):
+            """Writes where SQLite would: at each row, and at the end of a transaction."""
+
+            def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
+                if sql.startswith(("INSERT", "UPDATE", "COMMIT")):
+                    try:
+                        disk.asked(sql.partition(" ")[0].lower(), Path(disk._folder) / "mission.db")
+                    except OSError as error:
+                        words = "database or disk is full" if error.errno == errno.ENOSPC else "disk I/O error"
+                        raise sqlite3.OperationalError(words) from error
+                return super().execute(sql, *values)
+
+        return Connection
+
+
+class _Raw(io.FileIO):
+    """A file on a bad disk."""
+
+    def __init__(self, disk: BadDisk, path: Path, mode: str) -> None:
+        disk.asked("open", path)
+        super().__init__(path, mode)
+        self._disk = disk
+        self._path = path
+
+    def write(self, data: Any) -> int:
+        short = self._disk.asked("write", self._path)
+        return super().write(memoryview(data)[:1] if short else data)
+
+
+def _opening(disk: BadDisk, real: Callable[..., Any]) -> Callable[..., Any]:
+    def opened(path: Path, mode: str = "r", *rest: Any, **options: Any) -> Any:
+        if mode == "wb" and disk.holds(path):
+            return io.BufferedWriter(_Raw(disk, path, mode))
+        return real(path, mode, *rest, **options)
+
+    return opened

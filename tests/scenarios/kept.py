@@ -1,0 +1,272 @@
+"""A whole mission as ``mission run`` flies it, run folder and all, with scripted devices that deliver real files."""
+
+import hashlib
+import logging
+import os
+import signal
+from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from drivers.interfaces import Base, Lease, ScanReceipt
+from drivers.jobs import Progress
+from drivers.messages import PROTOCOL, Body, Open, Read, Reply
+from drivers.wire.client import Patience
+from drivers.wire.endpoints import Endpoints
+from drivers.wire.spool import Spool
+from drivers.wire.transfer import fetch
+from mission import run
+from mission.clock import MissionClock
+from mission.config import SiteConfig
+from mission.executive import TICK
+from mission.journal import read_events
+from mission.ledger import Ledger
+from mission.run import Summary, run_mission
+from mission.store import RunFolder, save_grid, write_arrays
+from perception.failure import FailureError
+from perception.grids import Cell, Grid
+from perception.transforms import Matrix
+from tests.drivers.wire_fakes import make_scan
+from tests.scenarios.bad_disk import BadDisk, Way
+from tests.scenarios.lasting import LastingBase, LastingScanner
+from tests.scenarios.play import OWNER, TICK_S
+from tests.scenarios.scripted import Script, ScriptedJob, ScriptedPerception
+from tests.scenarios.site import Site, row
+
+ROOM_AFTER_TICKS = 12
+"""So long after it was full, somebody makes room on the disk."""
+_POINTS = 60_000
+
+
+class _Link:
+    """A transfer's link to a spool in the same process."""
+
+    def __init__(self, spool: Spool) -> None:
+        self._spool = spool
+        self._asked: deque[tuple[str, Read]] = deque()
+
+    def ask(self, body: Open, *_: object) -> Body:
+        return self._spool.open(body.scan_id)
+
+    def send(self, body: Read, request_id: str) -> None:
+        self._asked.append((request_id, body))
+
+    def receive(self, _seconds: float) -> Reply[Any] | None:
+        request_id, read = self._asked.popleft()
+        return Reply(PROTOCOL, request_id, self._spool.read(read.scan_id, read.index), "boot", 0.0)
+
+
+class DeliveringScanner(LastingScanner):
+    """Its scans lie in a spool of its own and come home by the real transfer."""
+
+    def __init__(self, base: LastingBase, script: Script, folder: Path) -> None:
+        super().__init__(base, script)
+        self.spool = Spool(folder)
+
+    def take(self, scan_id: str, settings: Any, odom_from_base: Matrix) -> ScriptedJob:
+        job = super().take(scan_id, settings, odom_from_base)
+        job.conclude_with(lambda: self._store(scan_id))
+        return job
+
+    def fetch(self, receipt: ScanReceipt, destination: Path) -> ScriptedJob:
+        def bring() -> Path:
+            link: Any = _Link(self.spool)
+            return fetch(link, receipt, destination, Patience(), Progress())
+
+        return self._script.job("fetch", bring)
+
+    def _store(self, scan_id: str) -> ScanReceipt:
+        stored = self.spool.find(scan_id)
+        receipt = stored.receipt if stored else self.spool.store(make_scan(scan_id, _POINTS), "then", "now")
+        return receipt.value()
+
+
+class WritingPerception(ScriptedPerception):
+    """Writes the files that the stages write, small ones."""
+
+    def __init__(self, site: Site, scanner: DeliveringScanner, script: Script, folder: RunFolder) -> None:
+        super().__init__(site, scanner, script)
+        self._folder = folder
+
+    def warm_up(self) -> None:
+        """Nothing is cold."""
+
+    def build_map(self, scan_id: str, room_id: str, cycle: int, **_: Any) -> Any:
+        grid = Grid(np.full((4, 4), Cell.FREE, np.uint8), (-1.0, -1.0), 0.5)
+        save_grid(self._folder.map_file(f"map_{scan_id}"), grid)
+        write_arrays(self._folder.evidence_file(room_id, cycle, "flatness"), data=grid.data)
+        return super().build_map(scan_id)
+
+    def label_space(self, cycle: int, room_id: str, **_: Any) -> Any:
+        write_arrays(self._folder.voxel_file(room_id, cycle), labels=np.zeros((3, 3, 3), np.uint8))
+        return super().label_space(cycle)
+
+    def close(self) -> None:
+        """There is no process."""
+
+
+class Kept:
+    """One mission that leaves a run folder, over as many lives as it takes.
+
+    Args:
+        folder: for the run and for the scanner's own disk.
+    """
+
+    def __init__(self, folder: Path, site: Site | None = None) -> None:
+        site = site or row(1)
+        self.script = Script()
+        self.run = RunFolder.at(folder / "run")
+        self.base = LastingBase(site, self.script, OWNER)
+        self.scanner = DeliveringScanner(self.base, self.script, folder / "scanner")
+        self.perception = WritingPerception(site, self.scanner, self.script, self.run)
+        self.errors: list[str] = []
+        self.room_after_ticks = ROOM_AFTER_TICKS
+        self.abort_when_full = False
+        self._full_for = 0
+
+    def fly(self, disk: BadDisk | None = None) -> Summary | FailureError:
+        """One life; what it came to, or how it was refused. Whatever else is raised is an error of the program."""
+        config = SiteConfig(site="kept", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+        self.base.beats.clear()
+        with ExitStack() as stack:
+            self._play_the_parts(stack, disk)
+            if disk is not None:
+                stack.enter_context(disk.mounted())
+            try:
+                return run_mission(config, self.run, go_on_at_once=True)
+            except FailureError as refusal:
+                return refusal
+
+    def _play_the_parts(self, stack: ExitStack, disk: BadDisk | None) -> None:
+        def tick(seconds: float) -> None:
+            self.script.clock.sleep(seconds * TICK_S / TICK)
+            self._full_for = self._full_for + 1 if disk is not None and disk.full else 0
+            if disk is not None and self._full_for > self.room_after_ticks:
+                disk.make_room()
+            if self.abort_when_full and self._full_for > 1:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+        def clock(rate: float, begin: float) -> MissionClock:
+            return MissionClock(rate, self.script.clock.now, tick, begin)
+
+        @contextmanager
+        def ownership(_: Base) -> Iterator[Lease]:
+            yield Lease(1, 1, OWNER)
+
+        parts: dict[str, Any] = {
+            "ScannerClient": lambda *_, **__: self.scanner,
+            "BaseClient": lambda *_, **__: _Closing(self.base),
+            "PerceptionWorker": lambda *_: self.perception,
+            "MissionClock": clock,
+            "preflight": lambda *_: None,
+            "ownership": ownership,
+            "sockets_to": lambda *_: None,
+        }
+        stack.enter_context(patch.multiple(run, **parts))
+        stack.enter_context(
+            patch.object(RunFolder, "free_gb", lambda _: 0.0 if disk is not None and disk.full else 100.0)
+        )
+        handler = _Errors(self.errors)
+        logging.getLogger().addHandler(handler)
+        stack.callback(logging.getLogger().removeHandler, handler)
+
+    @property
+    def phases(self) -> list[str]:
+        return [f"{row['after']}({row['code']})" if row["code"] else row["after"] for row in self.events("phase")]
+
+    def events(self, kind: str) -> list[dict[str, Any]]:
+        return [event for event in read_events(self.run.events) if event["kind"] == kind]
+
+    @property
+    def told_codes(self) -> set[str]:
+        """Codes of every failure in the event log."""
+        return {event["code"] for event in self.events("failure")}
+
+    def how(self, summary: Summary) -> str:
+        """Outcome, and what held or failed on the way."""
+        held = {phase for phase in self.phases if phase.startswith("hold")}
+        return ", ".join([summary.outcome, *sorted(held | self.told_codes)])
+
+    def assert_folder_is_whole(self, refused: bool = False) -> None:
+        """Nothing half written under any name, each scan as the scanner has it, and the log as the ledger has it.
+
+        Args:
+            refused: whether the disk refused some events for good: those are in one of both, in their order.
+        """
+        left = [path.name for path in self.run.path.rglob("*") if ".part" in path.name]
+        assert left == []
+        for path in self.run.path.rglob("*.npz"):
+            with np.load(path) as archive:
+                assert all(archive[name].size for name in archive.files)
+        with closing(Ledger(self.run.ledger)) as ledger:
+            assert ledger.damage() == []
+            rows, events = ledger.jobs(), list(ledger.events())
+        assert [job.name for job in rows if job.ended is None] == []
+        log = read_events(self.run.events)
+        shared = [event for event in log if event in events] if refused else log
+        assert shared == ([event for event in events if event in log] if refused else events)
+        for name in (job.name for job in rows if job.kind == "fetch" and job.how == "done"):
+            stored = self.scanner.spool.find(name)
+            assert stored is not None
+            assert hashlib.sha256(self.run.scan_file(name).read_bytes()).hexdigest() == stored.receipt.sha256
+
+
+class _Errors(logging.Handler):
+    """Keeps what was logged with a traceback."""
+
+    def __init__(self, found: list[str]) -> None:
+        super().__init__(logging.ERROR)
+        self._found = found
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.exc_info:
+            self._found.append(f"{record.getMessage()}: {record.exc_info[1]!r}")
+
+
+class _Closing:
+    def __init__(self, base: LastingBase) -> None:
+        self._base = base
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._base, name)
+
+    def close(self) -> None:
+        """There is no socket."""
+
+
+def survive(folder: Path, way: Way, at: int, clean: list[str]) -> str:
+    """Fly one mission whose disk fails at one operation, resume it if that ended it; what failed, for a table.
+
+    Args:
+        clean: the scans of the mission with a good disk.
+
+    Raises:
+        AssertionError: where a promise was broken.
+    """
+    kept = Kept(folder)
+    disk = BadDisk(kept.run.path, way, at)
+    first = kept.fly(disk)
+    if isinstance(first, FailureError):
+        assert kept.scanner.taken == {}, "refused, but only after it had begun"
+        assert first.failure.code in ("DISK_FULL", "IO_ERROR", "LEDGER_BAD"), str(first)
+    elif first.outcome == "fault":
+        assert way is Way.ERROR
+        assert "IO_ERROR" in kept.told_codes
+    else:
+        assert first.outcome == "complete", f"{first.outcome}: {first.rooms}"
+    assert kept.base.commands[-1:] in ([], ["stop"])
+    still_full = disk.full
+    disk.make_room()
+    if isinstance(first, FailureError) or first.outcome == "fault":
+        again = kept.fly()
+        assert isinstance(again, Summary), f"not resumed: {again}"
+        assert again.outcome == "complete"
+    assert list(kept.scanner.taken) == clean
+    assert kept.errors == []
+    kept.assert_folder_is_whole(refused=way is Way.ERROR or still_full)
+    return f"{disk.hit}: {first.failure.code if isinstance(first, FailureError) else kept.how(first)}"

@@ -133,9 +133,8 @@ def _choose(books: Books, sensor: Sensor) -> None:
         robot_map=robot_map.mark_free(books.evidence.to_grid(), track, 0.3),
     )
     floor_z = books.shape.floor_z
-    choice, gains, books.sight = books.time(
-        "NBV", next_best_view.rank_views, books.space, field_, sensor, floor_z, earlier=books.sight
-    )
+    ranking = books.time("NBV", next_best_view.rank_views, books.space, field_, sensor, floor_z, earlier=books.sight)
+    choice, gains, books.sight = ranking.choice, ranking.gains, ranking.sight
     if not choice.candidates:
         return
     books.time("NBV, no memory", next_best_view.next_best_view, books.space, field_, sensor, floor_z)

@@ -35,6 +35,23 @@ class Travel:
     speed: float = 0.4
 
 
+@dataclass(frozen=True)
+class Ranking:
+    """The views of one cycle.
+
+    Args:
+        choice: the best views, with the number of candidates.
+        gains: the voxels that each candidate would show, NOT_EVALUATED in all pixels that were not counted.
+        estimates: the same of every candidate; of those not counted, what a part of the voxels lets expect near them.
+        sight: what helps the next cycle, if all candidates were counted.
+    """
+
+    choice: ViewChoice
+    gains: Grid
+    estimates: Grid
+    sight: Sight | None
+
+
 def next_best_view(
     space: VoxelSpace,
     field: CandidateField,
@@ -47,8 +64,8 @@ def next_best_view(
     max_rays: int = 30_000_000,
     separation: float = 0.5,
 ) -> tuple[ViewChoice, Grid]:
-    """The choice of :func:`rank_views` for a cycle that knows of none before it."""
-    choice, gains, _ = rank_views(
+    """The choice and the gains of :func:`rank_views` for a cycle that knows of none before it."""
+    ranking = rank_views(
         space,
         field,
         sensor,
@@ -59,7 +76,7 @@ def next_best_view(
         max_rays=max_rays,
         separation=separation,
     )
-    return choice, gains
+    return ranking.choice, ranking.gains
 
 
 def rank_views(
@@ -74,7 +91,7 @@ def rank_views(
     max_rays: int = 30_000_000,
     separation: float = 0.5,
     earlier: Sight | None = None,
-) -> tuple[ViewChoice, Grid, Sight | None]:
+) -> Ranking:
     """Rank the candidates by the occluded voxels that a scan there would show.
 
     A voxel counts when its centre is within the sensor's field of view and range of the optical centre over the
@@ -91,20 +108,17 @@ def rank_views(
         avoid: discs (x, y, radius) whose candidates failed of late and are left out.
         travel: rank by gain per second of driving and scanning instead of by gain.
         separation: least distance between two listed views, metres.
-        earlier: what an earlier cycle of the room returned; the same result comes sooner with it.
+        earlier: the sight of an earlier cycle of the room; the same result comes sooner with it.
 
     Raises:
         FailureError: ``NBV_SENSOR_OUTSIDE`` if the optical centre lies above or below the space.
-
-    Returns:
-        The best views with the number of candidates; the gain of each pixel, NOT_EVALUATED where not counted; and
-        what helps the next cycle, if all candidates were counted.
     """
     cells = np.argwhere(field.mask.data & ~_avoided(field.mask, avoid))
     gains = np.full(field.mask.shape, NOT_EVALUATED, np.int64)
-    sight = earlier
+    estimates, sight = gains.copy(), earlier
     if len(cells):
-        sight = _count(cells, _Counter(space, sensor, floor_z, weight, cells, earlier), gains, max_rays)
+        counter = _Counter(space, sensor, floor_z, weight, cells, earlier)
+        sight = _count(cells, counter, gains, estimates, max_rays)
     counted = np.argwhere(gains > NOT_EVALUATED)
     path = field.path_length.data[tuple(counted.T)]
     gain = gains[tuple(counted.T)]
@@ -115,7 +129,8 @@ def rank_views(
         Candidate(float(places[n, 0]), float(places[n, 1]), int(gain[n]), float(path[n]))
         for n in _spread(places, ranked, separation)
     ]
-    return ViewChoice(tuple(best), len(cells)), field.mask.with_data(gains), sight
+    choice = ViewChoice(tuple(best), len(cells))
+    return Ranking(choice, field.mask.with_data(gains), field.mask.with_data(estimates), sight)
 
 
 def surface(space: VoxelSpace) -> NDArray[np.bool_]:
@@ -163,10 +178,11 @@ class _Counter:
         return visibility.count(self._space, self._unseen, cells[:, ::-1], self._view, self._earlier)
 
     def roughly(self, cells: NDArray[np.int64], rays: int) -> NDArray[np.int64]:
-        """``(K,)`` numbers that grow with the counts: those of as many columns, drawn by lot, as ``rays`` allow."""
+        """``(K,)`` counts as they may be expected from as many columns, drawn by lot, as ``rays`` allow."""
         share = rays / max(1, len(cells) * self.targets)
-        drawn = np.random.default_rng(0).random(self._unseen.shape[:2]) < share
-        return visibility.count(self._space, self._unseen & drawn[:, :, None], cells[:, ::-1], self._view)[0]
+        drawn = self._unseen & (np.random.default_rng(0).random(self._unseen.shape[:2]) < share)[:, :, None]
+        counts = visibility.count(self._space, drawn, cells[:, ::-1], self._view)[0]
+        return np.rint(counts * (self.targets / max(1, int(np.count_nonzero(drawn))))).astype(np.int64)
 
     def _within_reach(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Voxels that are not walled off from every cell; rays pass corners, so 26 neighbours connect."""
@@ -184,24 +200,33 @@ def _slope(elevation: float) -> float:
     return float(np.tan(elevation)) if abs(elevation) < 0.5 * np.pi - 1e-9 else float(np.copysign(np.inf, elevation))
 
 
-def _count(cells: NDArray[np.int64], counter: _Counter, gains: NDArray[np.int64], max_rays: int) -> Sight | None:
+def _count(
+    cells: NDArray[np.int64],
+    counter: _Counter,
+    gains: NDArray[np.int64],
+    estimates: NDArray[np.int64],
+    max_rays: int,
+) -> Sight | None:
     """Fill in the gains of all cells, or where that is too much of the finalists of two rounds on a lot of columns.
 
     The first round asks one cell in each block, the second all cells around its best; each has a third of the rays.
     """
     if len(cells) * counter.targets <= max_rays:
         gains[tuple(cells.T)], sight = counter.exactly(cells)
+        np.copyto(estimates, gains)
         return sight
     rays = max_rays // 3
     stride = max(2, int(np.ceil(np.sqrt(len(cells) / COARSE))))
-    _, first = np.unique(cells // stride, axis=0, return_index=True)
-    rough = np.zeros(len(cells), np.int64)
-    rough[first] = counter.roughly(cells[first], rays)
-    leaders = cells[np.argsort(-rough, kind="stable")[:REFINED]]
-    around = np.flatnonzero(np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1) < stride)
-    fine = counter.roughly(cells[around], rays)
-    finalists = cells[around[np.argsort(-fine, kind="stable")[: max(1, rays // counter.targets)]]]
+    _, first, block = np.unique(cells // stride, axis=0, return_index=True, return_inverse=True)
+    asked = counter.roughly(cells[first], rays)
+    estimates[tuple(cells.T)] = asked[block.ravel()]
+    leaders = cells[first[np.argsort(-asked, kind="stable")[:REFINED]]]
+    around = cells[np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1) < stride]
+    fine = counter.roughly(around, rays)
+    estimates[tuple(around.T)] = fine
+    finalists = around[np.argsort(-fine, kind="stable")[: max(1, rays // counter.targets)]]
     gains[tuple(finalists.T)], _ = counter.exactly(finalists)
+    estimates[tuple(finalists.T)] = gains[tuple(finalists.T)]
     return None
 
 

@@ -40,6 +40,8 @@ _UNKNOWN, _FLAT = "#dfe4e9", "#bfe0cd"
 
 _CLOUD_CELL = 0.02
 """Cell of the top view, metres."""
+_COUNTED, _ESTIMATED = 2.6, 1.2
+"""Dots of candidates whose gain was counted, and of those for which a part of the voxels spoke, points across."""
 
 
 @dataclass(frozen=True)
@@ -240,11 +242,13 @@ def _views(run: Run) -> list[Picture]:
 
 
 def _draw_view(path: Path, grid: Grid, arrays: dict[str, NDArray]) -> None:
-    candidates = arrays.get("candidates", np.zeros((0, 3)))
+    candidates = arrays.get("candidates", np.zeros((0, 4)))
     with canvas(path, with_margins(grid_extent(grid)), width=6.0) as axes:
         draw_grid(axes, grid, rgb("#eef1f4", PAPER, "#f3c98b", "#3e4c59"))
         if candidates.size:
-            dots = axes.scatter(*candidates[:, :2].T, c=candidates[:, 2], s=7, cmap="viridis", linewidths=0, zorder=4)
+            x, y, gain, counted = candidates.T
+            size = np.where(counted, _COUNTED, _ESTIMATED) ** 2
+            dots = axes.scatter(x, y, c=gain, s=size, cmap="viridis", linewidths=0, zorder=4)
             _gain_bar(axes, dots, int(candidates[:, 2].max()))
         if arrays.get("best", np.zeros(0)).size:
             x, y = arrays["best"][0, :2]

@@ -15,6 +15,7 @@ from perception import labelled_map, next_best_view, voxels
 from perception.findings import LabelCounts, RoomShape, ViewChoice
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import Pose, Robot
+from perception.next_best_view import NOT_EVALUATED, Ranking
 from perception.sensor import Sensor
 from perception.visibility import Sight
 
@@ -101,7 +102,7 @@ def choose_view(
         robot=Robot(security_goal=goal_clearance, security_path=path_clearance),
     )
     room_before, sight = _sights.get(library, (room_id, None))
-    choice, gains, sight = next_best_view.rank_views(
+    ranking = next_best_view.rank_views(
         space,
         field,
         sensor,
@@ -110,17 +111,17 @@ def choose_view(
         avoid=avoid,
         earlier=sight if room_before == room_id else None,
     )
-    _sights[library] = (room_id, sight)
-    _keep_view(library, room_id, cycle, labelled_map.labelled_map(space, height, shape.floor_z), gains, pose, choice)
-    return choice
+    _sights[library] = (room_id, ranking.sight)
+    _keep_view(library, room_id, cycle, labelled_map.labelled_map(space, height, shape.floor_z), ranking, pose)
+    return ranking.choice
 
 
-def _keep_view(
-    library: Library, room_id: str, cycle: int, labels: Grid, gains: Grid, pose: Pose, choice: ViewChoice
-) -> None:
-    """The evidence of a choice: the labelled map, and every candidate with its score."""
-    cells = np.argwhere(gains.data > next_best_view.NOT_EVALUATED)
-    scored = np.column_stack([gains.centres_of(cells), gains.data[tuple(cells.T)]])
+def _keep_view(library: Library, room_id: str, cycle: int, labels: Grid, ranking: Ranking, pose: Pose) -> None:
+    """The evidence of a choice: the labelled map, and every candidate with its score and whether that was counted."""
+    cells = np.argwhere(ranking.estimates.data > NOT_EVALUATED)
+    of_cells = tuple(cells.T)
+    counted = ranking.gains.data[of_cells] > NOT_EVALUATED
+    scored = np.column_stack([ranking.estimates.centres_of(cells), ranking.estimates.data[of_cells], counted])
     write_arrays(
         library.run.evidence_file(room_id, cycle, "view"),
         data=labels.data,
@@ -128,5 +129,5 @@ def _keep_view(
         resolution=labels.resolution,
         candidates=scored,
         station=pose,
-        best=[(best.x, best.y, best.gain, best.path_length) for best in choice.best],
+        best=[(best.x, best.y, best.gain, best.path_length) for best in ranking.choice.best],
     )

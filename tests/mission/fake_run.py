@@ -253,7 +253,7 @@ def _write_arrays(folder: RunFolder) -> None:
     write_arrays(
         folder.evidence_file("R01", 1, "view"),
         data=labels, origin=origin, resolution=size, station=(0.0, 0.0),
-        candidates=np.column_stack([xy, gains]), best=[(1.5, 0.0, 2990, 1.5), (1.2, 0.0, 2800, 1.2)],
+        candidates=np.column_stack([xy, gains, gains > 1000]), best=[(1.5, 0.0, 2990, 1.5), (1.2, 0.0, 2800, 1.2)],
     )  # fmt: skip
     write_arrays(
         folder.evidence_file("R01", 1, "ceiling"),

@@ -175,7 +175,7 @@ def test_the_next_view_is_in_the_room_and_its_evidence_is_kept(survey: Survey) -
     assert -2.6 < best.y < 2.4
     assert best.gain == max(view.gain for view in survey.view.best)
     kept = read_arrays(survey.run.evidence_file("R1", 2, "view"))
-    assert kept["candidates"].shape[1] == 3
+    assert kept["candidates"].shape == (survey.view.candidates, 4)
     assert kept["candidates"][:, 2].max() == best.gain
     np.testing.assert_allclose(kept["best"][0], (best.x, best.y, best.gain, best.path_length))
 

@@ -12,11 +12,12 @@ from perception.failure import Failure
 
 
 class Ask(JobLeaf):
-    """Asks what to do about the newest failure: SUCCESS for "again", FAILURE for the default, "go on".
+    """Asks what to do about the newest failure: SUCCESS for "again", FAILURE for the default.
 
     Args:
-        what: what has failed, for the operator; ``{room}`` and ``{door}`` name where.
+        what: what has failed, for the operator; ``{room}``, ``{door}`` and ``{place}`` name where.
         advice: what a person could do about it.
+        otherwise: the default's name, what happens where nobody can.
     """
 
     reads = (Key.FAILURE, Key.ROOM, Key.DOOR)
@@ -24,24 +25,26 @@ class Ask(JobLeaf):
 
     AGAIN, GO_ON = "again", "go on"
 
-    def __init__(self, name: str, what: str, advice: str) -> None:
+    def __init__(self, name: str, what: str, advice: str, otherwise: str = GO_ON) -> None:
         super().__init__(name)
         self.what = what
         self.advice = advice
+        self.otherwise = otherwise
 
     def start(self) -> Job[str]:
         self._failure: Failure | None = self.read(Key.FAILURE)
-        what = self.what.format(room=self.read(Key.ROOM), door=self.read(Key.DOOR))
+        survey: Survey = self.read(Key.SURVEY)
+        place = "({:.1f}, {:.1f})".format(*survey.position)
+        what = self.what.format(room=self.read(Key.ROOM), door=self.read(Key.DOOR), place=place)
         reason = f" ({self._failure})" if self._failure else ""
-        text = f"{what}{reason}. {self.advice} Answer '{self.AGAIN}', or '{self.GO_ON}' without it."
+        text = f"{what}{reason}. {self.advice} Answer '{self.AGAIN}', or '{self.otherwise}' without it."
         self.say(text)
         self.write(Key.QUESTION, text)
-        survey: Survey = self.read(Key.SURVEY)
         number = survey.questions_asked + 1
         self.write(Key.SURVEY, replace(survey, questions_asked=number))
         deadline = self.services.clock.now() + self.services.settings.operator.patience_s
-        options = (self.AGAIN, self.GO_ON)
-        return self.services.operator.ask(f"Q{number:03d}", text, options, self.GO_ON, deadline)
+        options = (self.AGAIN, self.otherwise)
+        return self.services.operator.ask(f"Q{number:03d}", text, options, self.otherwise, deadline)
 
     def finish(self, value: str) -> Status:
         self.say(value)

@@ -4,6 +4,7 @@ from py_trees.common import Status
 
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
+from drivers.interfaces import BaseState
 from perception.failure import Failure
 
 
@@ -36,6 +37,18 @@ class FailureIs(Condition):
         )
 
 
+class LetTheWatchLook(Leaf):
+    """Waits for as long as it takes the watch to see what stopped the work, and to hold the mission if it must."""
+
+    settle_s = 5.0
+
+    def begin(self) -> None:
+        self._began = self.services.clock.now()
+
+    def step(self) -> Status:
+        return Status.RUNNING if self.services.clock.now() - self._began < self.settle_s else Status.SUCCESS
+
+
 class NoScanYet(Condition):
     """Whether the map frame is still to be made."""
 
@@ -50,6 +63,25 @@ class MapFrameIsMade(NoScanYet):
 
     def holds(self) -> bool:
         return not super().holds()
+
+
+class PlaceIsKnown(Condition):
+    """Whether odometry leads on from the last scan that has its place to where the base stands now."""
+
+    reads = (Key.SURVEY, Key.BASE)
+
+    def holds(self) -> bool:
+        base: BaseState | None = self.read(Key.BASE)
+        return base is None or self.read(Key.SURVEY).knows_place(base)
+
+
+class ScanHasGuess(Condition):
+    """Whether odometry led to where the scan was taken, so that its guess is worth something."""
+
+    reads = (Key.SCAN,)
+
+    def holds(self) -> bool:
+        return not self.read(Key.SCAN).adrift
 
 
 class ScanIsSetAside(Condition):

@@ -34,7 +34,7 @@ class DriveToTarget(JobLeaf):
             raise FailureError("NAV_NO_MAP", "no robot map yet, so nowhere is known to be free")
         robot_map = self.services.files.robot_map(survey.map_id)
         base: BaseState | None = self.read(Key.BASE)
-        self._set_out = None if base is None else base.odom_from_base
+        self._set_out = base
         known = _registered_pose(survey, base)
         return self.services.base.drive(
             DriveGoal(target.goal_id, robot_map, survey.map_id, known, target.x, target.y, target.yaw)
@@ -60,10 +60,10 @@ class DriveToTarget(JobLeaf):
     def _sensed(self) -> tuple[tuple[PlanarPose, ...], float]:
         """Track and distance of a drive whose end nobody reported, as far as telemetry tells."""
         base: BaseState | None = self.read(Key.BASE)
-        if base is None or self._set_out is None:
+        if base is None or self._set_out is None or base.odom_frame != self._set_out.odom_frame:
             return (), 0.0
         place = () if base.map_from_base is None else (transforms.to_planar(base.map_from_base),)
-        return place, transforms.difference(self._set_out, base.odom_from_base)[0]
+        return place, transforms.difference(self._set_out.odom_from_base, base.odom_from_base)[0]
 
     def _record(self, result: str, distance: float) -> None:
         target: Target = self.read(Key.TARGET)
@@ -189,7 +189,7 @@ def _registered_pose(survey: Survey, base: BaseState | None) -> Matrix | None:
     Odometry tells, because nobody may have reported a drive that timed out, or one that only turned the base.
     """
     last = survey.scans[-1]
-    if base is None:
+    if base is None or not survey.knows_place(base):
         return None
     metres, radians = transforms.difference(last.odom_from_base, base.odom_from_base)
     return last.map_from_base if metres < _STILL_M and radians < _STILL_RAD else None

@@ -219,6 +219,7 @@ def place(leaf: StageLeaf, scan: CurrentScan, found: Registration, room_id: str,
         scan.receipt,
         scan.alignment,
         found,
+        odom_frame=scan.odom_frame,
     )
     survey: Survey = leaf.read(Key.SURVEY)
     leaf.write(Key.SURVEY, survey.with_scan(record) if standing_here else survey.with_earlier_scan(record))

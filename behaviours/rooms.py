@@ -148,6 +148,22 @@ class DoorsWereRefused(Condition):
         return bool(refused)
 
 
+class RefuseDoors(Leaf):
+    """No door will be passed any more, for the newest failure's reason."""
+
+    reads = (Key.FAILURE,)
+    writes = (Key.SURVEY,)
+
+    def step(self) -> Status:
+        survey: Survey = self.read(Key.SURVEY)
+        failure: Failure | None = self.read(Key.FAILURE)
+        building = survey.building
+        for edge in building.unfinished_doors():
+            building = building.refuse(edge.id, failure.code if failure else "UNKNOWN")
+        self.write(Key.SURVEY, replace(survey, building=building))
+        return Status.SUCCESS
+
+
 class TryDoorsAgain(Leaf):
     """Every door that could not be passed is unexplored again: somebody has opened it."""
 

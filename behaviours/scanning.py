@@ -57,16 +57,19 @@ class TakeScan(JobLeaf):
         survey = self.read(Key.SURVEY)
         survey = replace(survey, scans_ordered=survey.scans_ordered + 1)
         scan_id = f"S{survey.scans_ordered:02d}"
-        odometry = base.odom_from_base
-        guess = base.map_from_base if survey.scans else None
         scan = CurrentScan(
-            scan_id, odometry, survey.odometry_guess(odometry) if guess is None else guess, survey.driven
+            scan_id,
+            base.odom_from_base,
+            survey.believed_pose(base),
+            survey.driven,
+            odom_frame=base.odom_frame,
+            adrift=not survey.knows_place(base),
         )
         self.write(Key.SURVEY, survey)
         self.write(Key.SCAN, scan)
         self.services.interlock.hold(self.name)
         step = self.services.settings.scanning.step_deg * math.pi / 180
-        return self.services.scanner.take(scan_id, ScanSettings(step), odometry)
+        return self.services.scanner.take(scan_id, ScanSettings(step), base.odom_from_base)
 
     def timeout(self) -> float:
         return self.services.settings.scanning.timeout_s
@@ -86,10 +89,14 @@ class FetchScan(JobLeaf):
     """Brings the scan from the scanner's computer into the run folder, verified."""
 
     reads = (Key.SCAN,)
+    timeout_code = "XFER_TIMEOUT"
 
     def start(self) -> Job[Any]:
         scan = self.read(Key.SCAN)
         return self.services.scanner.fetch(scan.receipt, self.services.files.scan_file(scan.scan_id))
+
+    def timeout(self) -> float:
+        return self.services.settings.scanning.fetch_timeout_s
 
     def finish(self, value: Any) -> Status:
         scan = self.read(Key.SCAN)

@@ -15,12 +15,14 @@ Count = Annotated[int, Ge(1)]
 class ScanningSettings:
     """How scans are taken: beam step in degrees, deadline in seconds, attempts at one spot and spots tried.
 
+    ``fetch_timeout_s`` is for bringing one home; what arrived by then is not sent again.
     ``planned`` is for how many scans there must be room on the disk before the mission starts; with less than
     ``min_free_gb`` it stands still for ``room_s`` seconds at most, until somebody makes room.
     """
 
     step_deg: Annotated[float, Ge(0.01), Le(5.0)] = 0.2
     timeout_s: Positive = 300.0
+    fetch_timeout_s: Positive = 600.0
     attempts: Count = 2
     spots: Count = 2
     planned: Count = 40

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from drivers.interfaces import ScanReceipt
+from drivers.interfaces import BaseState, ScanReceipt
 from perception.building import Building
 from perception.findings import Alignment, Door, LabelCounts, Registration, RoomShape
 from perception.stopping import StopDecision
@@ -21,6 +21,8 @@ class CurrentScan:
         scan_id: name of the scan.
         map_from_base_guess: 4x4, where the base believed it stood, None for the very first scan.
         guess_distance: metres driven since the last registered scan, which the guess's error grows with.
+        odom_frame: what ``odom_from_base`` is told in.
+        adrift: whether odometry began anew since the last registered scan, so that the guess is worth little.
     """
 
     scan_id: str
@@ -31,6 +33,8 @@ class CurrentScan:
     base_from_scanner: Matrix | None = None
     points: int = 0
     alignment: Alignment | None = None
+    odom_frame: str = ""
+    adrift: bool = False
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class ScanRecord:
     Args:
         registration: how it was registered; ``map_from_scanner`` may have been adjusted since.
         residual: metres rms between its surface and that of the scans around it; None before it was compared.
+        odom_frame: what ``odom_from_base`` is told in.
     """
 
     scan_id: str
@@ -52,6 +57,7 @@ class ScanRecord:
     alignment: Alignment
     registration: Registration
     residual: float | None = None
+    odom_frame: str = ""
 
     @property
     def moved_m(self) -> float:
@@ -171,9 +177,17 @@ class Survey:
         number = self.goals_given + 1
         return replace(self, goals_given=number), f"G{number:03d}"
 
-    def odometry_guess(self, odom_from_base: Matrix) -> Matrix | None:
-        """Where odometry alone puts the base since the last registered scan; None before the first."""
+    def knows_place(self, base: BaseState) -> bool:
+        """Whether odometry leads on from the last registered scan; before the first there is nothing to lead from."""
+        return not self.scans or self.scans[-1].odom_frame == base.odom_frame
+
+    def believed_pose(self, base: BaseState) -> Matrix | None:
+        """``map_from_base`` as well as it is known; None before the first scan."""
         if not self.scans:
             return None
+        if base.map_from_base is not None:
+            return base.map_from_base
         last = self.scans[-1]
-        return last.map_from_base @ inverse(last.odom_from_base) @ odom_from_base
+        if not self.knows_place(base):
+            return planar(*self.track[-1])
+        return last.map_from_base @ inverse(last.odom_from_base) @ base.odom_from_base

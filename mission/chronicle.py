@@ -42,6 +42,7 @@ class Chronicle:
         self._clock = clock
         self._told = _worth_telling(ledger)
         self._next = 0
+        self._unheard = 0
         self._at = 0.0
         self._moved = False
         self._may_act = not self._told
@@ -53,7 +54,7 @@ class Chronicle:
     @property
     def telling(self) -> bool:
         """Whether known outcomes are left to be told; nothing that happens meanwhile is new."""
-        return self._next < len(self._told)
+        return self._next < len(self._told) or self._unheard > 0
 
     def release(self) -> None:
         """Leave to act: what was begun when the known outcomes ended is done now."""
@@ -76,16 +77,16 @@ class Chronicle:
             if self._divergence is not None:
                 raise self._divergence
             # A tick in which nothing began or ended waits for the time of the next job.
-            self._at = self._at if self._moved else max(self._at, self._told[self._next].begun)
+            self._at = self._at if self._moved else max(self._at, self._row.begun)
             idle = 0 if self._moved else idle + 1
             if idle > _PATIENCE_TICKS:
-                row = self._told[self._next]
+                row = self._row
                 raise FailureError("RESUME_DIVERGED", f"the tree does not come to job {row.seq}, {row.kind} {row.name}")
 
     def sense(self, live: BaseState | None) -> BaseState | None:
         """What the base says; while telling, what it said when the next job was begun."""
         if self.telling:
-            then = from_json(json.loads(self._told[self._next].world))
+            then = from_json(json.loads(self._row.world))
             # What the work goes by is of the past; whether the base is well, and whose, is the watch's, and of now.
             live = then and replace(then, emergency_stop=False, age=0.0, owner=live.owner if live else "")
         elif live is not None:
@@ -109,7 +110,7 @@ class Chronicle:
         Raises:
             FailureError: ``RESUME_DIVERGED`` when the tree begins another job than it did before.
         """
-        if not self.telling:
+        if self._next == len(self._told):
             world = json.dumps(to_json(self._sensed))
             return _LivedJob(self, lambda: self._write_down(kind, name, world, acts), start)
         row = self._told[self._next]
@@ -126,6 +127,18 @@ class Chronicle:
         self._moved = True
         self._at = max(self._at, row.begun)
         return _LivedJob(self, lambda: row.seq, start) if row.ended is None else _ToldJob(self, row)
+
+    @property
+    def _row(self) -> JobRow:
+        """The next job to be told, or the last one while its outcome is."""
+        return self._told[min(self._next, len(self._told) - 1)]
+
+    def to_be_heard(self) -> None:
+        """An outcome is known and will be told."""
+        self._unheard += 1
+
+    def heard(self) -> None:
+        self._unheard -= 1
 
     def told(self, at: float) -> None:
         self._moved = True
@@ -157,22 +170,39 @@ class Chronicle:
 
 
 class _ToldJob:
-    """A job whose outcome is known."""
+    """A job whose outcome is known.
+
+    It is told one tick after the job was begun, as in life: what the tree does upon it must not go by what the base
+    said when this job was begun, but by what it said when the next one was.
+    """
 
     def __init__(self, chronicle: Chronicle, row: JobRow) -> None:
         self._chronicle = chronicle
         self._row = row
+        self._polls = 0
+        self._is_awaited = row.how != "cancelled"  # that one is given up by the tree again
+        if self._is_awaited:
+            chronicle.to_be_heard()
 
     def poll(self) -> Outcome[Any]:
         assert self._row.ended is not None and self._row.outcome is not None
+        self._polls += 1
+        if self._polls == 1:
+            return Running()
         self._chronicle.told(self._row.ended)
+        self._hear()
         value = from_json(json.loads(self._row.outcome))
         if self._row.how == "done":
             return Done(value)
         return Failed(value) if isinstance(value, Failure) else Running()
 
     def cancel(self) -> None:
-        pass
+        self._hear()
+
+    def _hear(self) -> None:
+        if self._is_awaited:
+            self._is_awaited = False
+            self._chronicle.heard()
 
 
 class _LivedJob:

@@ -21,6 +21,7 @@ from drivers.interfaces import (
 )
 from drivers.jobs import Job
 from mission.chronicle import Chronicle
+from perception.failure import FailureError
 from perception.transforms import Matrix
 
 
@@ -74,7 +75,16 @@ class RememberedBase:
         return self._chronicle.sense(self._base.state())
 
     def drive(self, goal: DriveGoal) -> Job[DriveReport]:
-        return self._chronicle.begin("drive", goal.goal_id, lambda: self._base.drive(goal), acts=True)
+        frame = self._chronicle.odom_frame
+
+        def order() -> Job[DriveReport]:
+            # An order may have to wait for leave, and longer than what it says of the base's place is true.
+            if self._chronicle.odom_frame != frame:
+                why = f"the place that goal {goal.goal_id} was to begin at is not known any more"
+                raise FailureError("NAV_INTERRUPTED", why, track=[], distance=0.0)
+            return self._base.drive(goal)
+
+        return self._chronicle.begin("drive", goal.goal_id, order, acts=True)
 
     def stop(self) -> Job[None]:
         return self._base.stop()

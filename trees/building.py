@@ -34,7 +34,7 @@ def create_root(settings: Settings | None = None) -> Behaviour:
 
 def building(settings: Settings) -> Behaviour:
     """Rooms in the order of the paper: one is finished, then the robot goes under the door to the next."""
-    home = [if_possible("home", go_home())] if settings.building.return_to_start else []
+    home = [if_possible("home", go_home(settings))] if settings.building.return_to_start else []
     return steps(
         "building",
         until_failure("every room", steps("room and door", room(settings), next_door(settings))),
@@ -46,7 +46,7 @@ def building(settings: Settings) -> Behaviour:
 
 def last_word() -> Behaviour:
     """All poses once more when nobody drives by the maps any longer, and every scan's residual for the report."""
-    everything = OptimisePoses("adjust all poses", most_m=math.inf)
+    everything = recovery.written(OptimisePoses("adjust all poses", most_m=math.inf))
     return steps("all poses", MapFrameIsMade("anything registered?"), everything)
 
 
@@ -69,7 +69,7 @@ def reachable_door(settings: Settings) -> Behaviour:
     """The robot stands under an unexplored open door; fails when none is left that can be passed."""
     return Recover(
         "reachable door",
-        primary=steps("go under a door", ChooseDoor("choose a door"), drive("drive under the door")),
+        primary=steps("go under a door", ChooseDoor("choose a door"), drive("drive under the door", settings)),
         recovery=recovery.another_door(),
         attempts=2 * settings.building.max_rooms,
     )

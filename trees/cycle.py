@@ -2,7 +2,7 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import MapFrameIsMade, NoScanYet, RoomIsEnded, ScanIsSetAside
+from behaviours.conditions import MapFrameIsMade, NoScanYet, RoomIsEnded, ScanHasGuess, ScanIsSetAside
 from behaviours.mapping import (
     AnchorScan,
     BuildMap,
@@ -13,16 +13,16 @@ from behaviours.mapping import (
     SegmentRoom,
 )
 from behaviours.recover import Recover
-from behaviours.scanning import AlignScan, FetchScan, StandStill, TakeScan, ValidateScan
 from behaviours.settings import Settings
 from behaviours.viewing import AssessRoom, ChooseView
 from trees import recovery
 from trees.compose import first_that_works, if_possible, steps
-from trees.errands import drive, enough_charge
+from trees.errands import bridge, drive, enough_charge, move_nearby
+from trees.scanning import scan_here
 
 
 def cycle(settings: Settings) -> Behaviour:
-    return steps("cycle", observation(settings), enough_charge(), next_view(settings))
+    return steps("cycle", observation(settings), enough_charge(settings), next_view(settings))
 
 
 def observation(settings: Settings) -> Behaviour:
@@ -34,9 +34,9 @@ def observation(settings: Settings) -> Behaviour:
             "scan set aside",
             steps("try it again", ScanIsSetAside("one waits?"), PlaceScanSetAside("register the scan set aside")),
         ),
-        SegmentRoom("find the room's contour"),
-        BuildMap("build the robot map"),
-        LabelSpace("label the voxel space"),
+        recovery.written(SegmentRoom("find the room's contour")),
+        recovery.written(BuildMap("build the robot map")),
+        recovery.written(LabelSpace("label the voxel space")),
     )
 
 
@@ -45,7 +45,7 @@ def registered_scan(settings: Settings) -> Behaviour:
     return Recover(
         "registered scan",
         primary=steps("scan and place", scan(settings), place()),
-        recovery=recovery.bridge(),
+        recovery=bridge(settings),
         attempts=2,
     )
 
@@ -54,20 +54,8 @@ def scan(settings: Settings) -> Behaviour:
     """A usable scan: tried again on the spot, then from a spot nearby."""
     return Recover(
         "scan",
-        primary=Recover(
-            "scan here",
-            primary=steps(
-                "take a scan",
-                StandStill("stand still"),
-                TakeScan("take the scan"),
-                FetchScan("fetch the scan"),
-                ValidateScan("validate the scan"),
-                AlignScan("align with the floor"),
-            ),
-            recovery=recovery.again_if_the_scan_failed(),
-            attempts=settings.scanning.attempts,
-        ),
-        recovery=recovery.move_nearby(),
+        primary=scan_here(settings),
+        recovery=move_nearby(settings),
         attempts=settings.scanning.spots,
     )
 
@@ -81,7 +69,9 @@ def place() -> Behaviour:
             "later scan",
             MapFrameIsMade("map frame made?"),
             first_that_works(
-                "register", RegisterScan("register from odometry"), RegisterGlobally("register by features")
+                "register",
+                steps("near the guess", ScanHasGuess("odometry unbroken?"), RegisterScan("register from odometry")),
+                RegisterGlobally("register by features"),
             ),
         ),
     )
@@ -93,9 +83,9 @@ def next_view(settings: Settings) -> Behaviour:
         "next view",
         primary=steps(
             "view",
-            ChooseView("choose the next best view"),
+            recovery.written(ChooseView("choose the next best view")),
             AssessRoom("judge λ and μ"),
-            first_that_works("go on", RoomIsEnded("room ended?"), drive("drive to the view")),
+            first_that_works("go on", RoomIsEnded("room ended?"), drive("drive to the view", settings)),
         ),
         recovery=recovery.next_best_instead(),
         attempts=settings.driving.view_attempts,

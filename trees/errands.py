@@ -4,34 +4,45 @@ from py_trees.behaviour import Behaviour
 
 from behaviours.charging import BatteryIsGood, WaitForCharge
 from behaviours.conditions import FailureIs
-from behaviours.driving import DriveToTarget, RenewGoal, TargetLastScan, TargetStart
+from behaviours.driving import (
+    DriveToTarget,
+    RenewGoal,
+    TargetHalfWayBack,
+    TargetLastScan,
+    TargetNearby,
+    TargetStart,
+)
+from behaviours.mapping import SetScanAside
 from behaviours.recover import Recover
 from behaviours.rooms import GiveUpRoom
 from behaviours.safety import EndMission
+from behaviours.settings import Settings
 from trees.compose import first_that_works, steps
+from trees.locating import located
+from trees.recovery import ANOTHER_SCAN_MAY_HELP
 
 _ATTEMPTS = 3
 
 
-def drive(name: str) -> Behaviour:
-    """A drive to the target; one that the emergency stop or a lost link broke off is ordered anew."""
+def drive(name: str, settings: Settings) -> Behaviour:
+    """A drive to the target, from a place that is known; one that was broken off from outside is ordered anew."""
     return Recover(
         f"{name}, whatever interrupts",
-        primary=DriveToTarget(name),
+        primary=steps(f"{name}, from a known place", located(settings), DriveToTarget(name)),
         recovery=steps(
             "order it anew",
-            FailureIs("broken off from outside?", "ESTOP", "AGENT_UNREACHABLE", "LEASE_"),
+            FailureIs("broken off from outside?", "ESTOP", "AGENT_UNREACHABLE", "LEASE_", "NAV_INTERRUPTED"),
             RenewGoal("name the goal anew"),
         ),
         attempts=_ATTEMPTS,
     )
 
 
-def go_home() -> Behaviour:
-    return steps("return to the start", TargetStart("pick the start"), drive("drive to the start"))
+def go_home(settings: Settings) -> Behaviour:
+    return steps("return to the start", TargetStart("pick the start"), drive("drive to the start", settings))
 
 
-def enough_charge() -> Behaviour:
+def enough_charge(settings: Settings) -> Behaviour:
     """Goes on at once with charge enough; else home to the charger and back, and where that fails the mission ends."""
     return first_that_works(
         "enough charge",
@@ -40,13 +51,34 @@ def enough_charge() -> Behaviour:
             "charge",
             Recover(
                 "go to the charger",
-                primary=go_home(),
+                primary=go_home(settings),
                 recovery=FailureIs("way home blocked?", "NAV_"),
                 attempts=_ATTEMPTS,
             ),
             WaitForCharge("wait for the charge"),
             TargetLastScan("pick the last scan's place"),
-            drive("drive back to work"),
+            drive("drive back to work", settings),
         ),
         steps("out of charge", GiveUpRoom("leave the room at that"), EndMission("end without charge", "finished")),
+    )
+
+
+def move_nearby(settings: Settings) -> Behaviour:
+    """A spot where scans keep failing is left by half a metre."""
+    return steps(
+        "move nearby",
+        FailureIs("scan still fails?", *ANOTHER_SCAN_MAY_HELP),
+        TargetNearby("pick a spot nearby"),
+        drive("drive nearby", settings),
+    )
+
+
+def bridge(settings: Settings) -> Behaviour:
+    """A scan without a place waits, and one is taken half-way back, where more of the known is seen."""
+    return steps(
+        "bridge",
+        FailureIs("registration refused?", "REG_"),
+        SetScanAside("set the scan aside"),
+        TargetHalfWayBack("pick the half-way spot"),
+        drive("drive half-way back", settings),
     )

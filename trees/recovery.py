@@ -2,39 +2,44 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import FailureIs
-from behaviours.driving import TargetHalfWayBack, TargetNearby
-from behaviours.mapping import SetScanAside
+from behaviours.conditions import FailureIs, LetTheWatchLook
+from behaviours.recover import Recover
 from behaviours.rooms import DeferDoor
 from behaviours.viewing import AvoidView
 from trees.compose import steps
-from trees.errands import drive
+
+ANOTHER_SCAN_MAY_HELP = ("SCAN_", "ALIGN_", "XFER_BROKEN")
+HELP_WITH = (
+    "REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "DISK_FULL", "IO_ERROR", "SPOOL_FAILED",
+    "DEVICE_FORGOT",
+    "DRIVER_EXCEPTION", "ESTOP", "LEAF_EXCEPTION",
+)  # fmt: skip
+"""Codes of what a person at the robot may be able to put right."""
+_ATTEMPTS = 3
+
+
+def fetched(fetch: Behaviour) -> Behaviour:
+    """The scanner keeps a scan until it has come home: whatever cut the transfer, the same one is fetched again."""
+    return _again_after(fetch, "not come home?", "XFER_", "DISK_FULL", "AGENT_UNREACHABLE")
+
+
+def written(stage: Behaviour) -> Behaviour:
+    """A stage whose file the disk did not take is done again, when the watch has seen to it that there is room."""
+    return _again_after(stage, "not written?", "DISK_FULL", "IO_ERROR")
+
+
+def _again_after(work: Behaviour, question: str, *codes: str) -> Behaviour:
+    return Recover(
+        f"{work.name}, in the end",
+        primary=work,
+        recovery=steps(f"{work.name} again", FailureIs(question, *codes), LetTheWatchLook("let the watch look")),
+        attempts=_ATTEMPTS,
+    )
 
 
 def again_if_the_scan_failed() -> Behaviour:
     """A scan that failed by itself may be taken again from the same spot."""
-    return FailureIs("scan failed?", "SCAN_", "ALIGN_", "XFER_", "TIMEOUT")
-
-
-def move_nearby() -> Behaviour:
-    """A spot where scans keep failing is left by half a metre."""
-    return steps(
-        "move nearby",
-        FailureIs("scan still fails?", "SCAN_", "ALIGN_", "XFER_", "TIMEOUT"),
-        TargetNearby("pick a spot nearby"),
-        drive("drive nearby"),
-    )
-
-
-def bridge() -> Behaviour:
-    """A scan without a place waits, and one is taken half-way back, where more of the known is seen."""
-    return steps(
-        "bridge",
-        FailureIs("registration refused?", "REG_"),
-        SetScanAside("set the scan aside"),
-        TargetHalfWayBack("pick the half-way spot"),
-        drive("drive half-way back"),
-    )
+    return FailureIs("scan failed?", *ANOTHER_SCAN_MAY_HELP)
 
 
 def next_best_instead() -> Behaviour:

@@ -8,15 +8,10 @@ from behaviours.conditions import FailureIs, LoopIsClosed, RoomIsEnded, RoomIsOp
 from behaviours.recover import Recover
 from behaviours.rooms import BeginRoom, ChooseSuspect, FindDoors, GiveUpRoom
 from behaviours.settings import Settings
+from trees import recovery
 from trees.compose import first_that_works, if_possible, steps, until_failure
 from trees.cycle import cycle, observation
 from trees.errands import drive
-
-HELP_WITH = (
-    "REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "DISK_FULL", "SPOOL_FAILED", "DEVICE_FORGOT",
-    "DRIVER_EXCEPTION", "ESTOP", "LEAF_EXCEPTION",
-)  # fmt: skip
-"""Codes of what a person at the robot may be able to put right."""
 
 
 def room(settings: Settings) -> Behaviour:
@@ -36,7 +31,7 @@ def persistent_cycles(settings: Settings) -> Behaviour:
         primary=cycles(settings),
         recovery=steps(
             "ask for help",
-            FailureIs("can a person help?", *HELP_WITH),
+            FailureIs("can a person help?", *recovery.HELP_WITH),
             Ask("ask about the room", "Room {room} cannot be finished", "Put right what you can, at the robot too."),
         ),
         attempts=settings.operator.rounds,
@@ -55,14 +50,16 @@ def cycles(settings: Settings) -> Behaviour:
 
 def close_loop() -> Behaviour:
     """Where a door leads back to known rooms, the poses on the way round must meet."""
-    return steps("close the loop", LoopIsClosed("loop closed?"), OptimisePoses("adjust the poses", MAPS_BEAR_M))
+    return steps(
+        "close the loop", LoopIsClosed("loop closed?"), recovery.written(OptimisePoses("adjust the poses", MAPS_BEAR_M))
+    )
 
 
 def find_doors(settings: Settings) -> Behaviour:
     """The room's doors; an opening that no scan saw well enough is looked at from nearby, once."""
     closer_look = steps(
         "closer look",
-        drive("drive before the opening"),
+        drive("drive before the opening", settings),
         observation(settings),
         FindDoors("find open doors again"),
     )

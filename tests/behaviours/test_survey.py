@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from behaviours.survey import Cycle, Survey
+from drivers.interfaces import BaseState
 from perception import transforms
 from perception.building import Building
 from perception.findings import Door, LabelCounts
@@ -63,10 +64,24 @@ def test_odometry_alone_carries_the_last_registered_pose_on() -> None:
     truth = transforms.planar(1.0, 2.0, 0.5)
     last = replace(scan("S01"), map_from_base=truth, odom_from_base=odom_from_map @ truth)
     now = transforms.planar(3.0, -1.0, -0.7)
-    guess = survey_of(last).odometry_guess(odom_from_map @ now)
+    base = BaseState(odom_from_map @ now, None, False, False, 1.0, "idle", 0.0)
+    guess = survey_of(last).believed_pose(base)
     assert guess is not None
     assert np.allclose(guess, now)
-    assert Survey().odometry_guess(np.eye(4)) is None
+    assert Survey().believed_pose(base) is None
+
+
+def test_what_odometry_says_in_another_frame_leads_nowhere() -> None:
+    """It began anew: the base is believed where it was last, unless it localises itself."""
+    survey = Survey().with_scan(scan("S01")).with_drive(((1.0, 2.0, 0.5),), 2.0)
+    anew = BaseState(np.eye(4), None, False, False, 1.0, "idle", 0.0, odom_frame="another")
+    assert survey.knows_place(replace(anew, odom_frame=""))
+    assert not survey.knows_place(anew)
+    assert Survey().knows_place(anew)
+    guess = survey.believed_pose(anew)
+    assert guess is not None
+    assert np.allclose(guess, transforms.planar(1.0, 2.0, 0.5))
+    assert survey.believed_pose(replace(anew, map_from_base=np.eye(4))) is not None
 
 
 def test_changes_leave_the_old_survey_as_it_was() -> None:

@@ -131,7 +131,9 @@ def test_whatever_instant_its_process_is_killed_at_every_promise_was_kept(path: 
 def told(path: Path, kind: str, name: str) -> Outcome[object]:
     """The outcome of the last job of a ledger, as the tree of a resumed mission hears it."""
     chronicle = Chronicle(Ledger(path), VirtualClock())
-    return chronicle.begin(kind, name, lambda: pytest.fail("it acted before it might")).poll()
+    job = chronicle.begin(kind, name, lambda: pytest.fail("it acted before it might"))
+    assert isinstance(job.poll(), Running), "it is told after the tick in which it was begun"
+    return job.poll()
 
 
 def test_a_drive_that_an_abort_gave_up_is_not_driven_again(path: Path) -> None:

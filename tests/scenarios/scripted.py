@@ -40,6 +40,9 @@ ONCE, TWICE, EVER = range(1, 2), range(1, 3), range(1, 10_000)
 HANG = object()
 """As an outcome: the job never ends."""
 
+WORKER_S = 360.0
+"""The perception worker kills a stage after 180 s of the wall, and gives it one more chance."""
+
 SECONDS = {"take": 30.0, "drive": 30.0}
 """How long things take; 10 s where nothing is said."""
 
@@ -78,6 +81,19 @@ class ScriptedJob:
         self._conclude = concluded
 
 
+@dataclass(frozen=True)
+class Way:
+    """How an operation goes otherwise than well.
+
+    Args:
+        value: what it gives, made of what would give its right value.
+        seconds: how long it takes, made of how long it would.
+    """
+
+    value: Callable[[Callable[[], object]], object] = lambda act: act()
+    seconds: Callable[[float], float] = lambda seconds: seconds
+
+
 @dataclass
 class Script:
     """What happens at which call of an operation, and how often each was called.
@@ -98,20 +114,27 @@ class Script:
         self._told.update({(operation, call): outcome for call in calls})
         return self
 
-    def job(self, operation: str, act: Callable[[], object]) -> ScriptedJob:
-        """A call of an operation; ``act`` gives its value, or a Failure, if the script does not."""
+    def job(
+        self, operation: str, act: Callable[[], object], deadline: float = float("inf"), late: Failure | None = None
+    ) -> ScriptedJob:
+        """A call of an operation; ``act`` gives its value, or a Failure, if the script does not.
+
+        Args:
+            deadline: seconds after which whoever does it gives up by himself, and fails with ``late``.
+        """
         self.calls[operation] += 1
         told = self._told.get((operation, self.calls[operation]))
+        way = told if isinstance(told, Way) else Way() if told is None else Way(lambda _: told)
+        seconds = float("inf") if told is HANG else way.seconds(SECONDS.get(operation, 10.0))
 
         def conclude() -> Outcome[Any]:
             try:
-                value = act() if told is None else told
+                value = late if seconds > deadline else way.value(act)
             except FailureError as error:
                 value = error.failure
             return Failed(value) if isinstance(value, Failure) else Done(value)
 
-        seconds = float("inf") if told is HANG else SECONDS.get(operation, 10.0)
-        self.jobs.append(ScriptedJob(operation, self.clock, seconds, conclude))
+        self.jobs.append(ScriptedJob(operation, self.clock, min(seconds, deadline), conclude))
         return self.jobs[-1]
 
 
@@ -252,6 +275,7 @@ class ScriptedPerception:
     """Finds in every scan what the site has; a room is seen by 90 % in its first cycle and by 92 % in its second.
 
     ``seen`` may say otherwise: voxels seen after each cycle, of 10,000, the last one for all cycles after it.
+    ``spoiled`` has the scans that are none, with what validation finds wrong with them.
     """
 
     def __init__(self, site: Site, scanner: ScriptedScanner, script: Script) -> None:
@@ -259,19 +283,23 @@ class ScriptedPerception:
         self.seen: list[int] = [9000, 9200]
         self.requests: list[tuple[str, dict[str, Any]]] = []
         self.guess_errors: list[tuple[float, float]] = []
+        self.spoiled: dict[str, str] = {}
         self._scanner = scanner
         self._script = script
 
     def submit(self, stage: str, /, **arguments: Any) -> ScriptedJob:
         arguments = pickle.loads(pickle.dumps(arguments))  # noqa: S301, as on the way to the worker
         self.requests.append((stage, arguments))
-        return self._script.job(stage, lambda: getattr(self, stage)(**arguments))
+        late = Failure("PERC_TIMEOUT", f"{stage} did not end within its deadline")
+        return self._script.job(stage, lambda: getattr(self, stage)(**arguments), WORKER_S, late)
 
     def of_stage(self, stage: str) -> list[dict[str, Any]]:
         """Arguments of each call of a stage."""
         return [arguments for name, arguments in self.requests if name == stage]
 
-    def validate_scan(self, scan_id: str) -> ScanSummary:
+    def validate_scan(self, scan_id: str) -> ScanSummary | Failure:
+        if scan_id in self.spoiled:
+            return Failure(self.spoiled[scan_id], "what the scanner gave is no scan")
         return ScanSummary(1_000_000, 0, 0.9, 3.0, MOUNT)
 
     def align_scan(self, scan_id: str) -> Alignment:

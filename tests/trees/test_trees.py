@@ -20,16 +20,19 @@ from behaviours.leaf import Leaf
 from behaviours.recover import Recover
 from behaviours.scanning import StageLeaf
 from behaviours.settings import Settings
-from trees import building, cycle, errands, recovery, room
+from trees import building, cycle, errands, locating, recovery, room
 from trees import safety as safety_tree
+from trees import scanning as scan_trees
 
 TREES: dict[str, Callable[[], Behaviour]] = {
     "mission": building.create_root,
     "building": lambda: building.building(Settings()),
     "next door": lambda: building.next_door(Settings()),
-    "home": errands.go_home,
-    "enough charge": errands.enough_charge,
-    "drive": lambda: errands.drive("drive somewhere"),
+    "home": lambda: errands.go_home(Settings()),
+    "enough charge": lambda: errands.enough_charge(Settings()),
+    "drive": lambda: errands.drive("drive somewhere", Settings()),
+    "located": lambda: locating.located(Settings()),
+    "scan here": lambda: scan_trees.scan_here(Settings()),
     "room": lambda: room.room(Settings()),
     "cycles": lambda: room.cycles(Settings()),
     "cycle": lambda: cycle.cycle(Settings()),
@@ -40,8 +43,8 @@ TREES: dict[str, Callable[[], Behaviour]] = {
     "abort": safety_tree.abort,
     "watch": safety_tree.watch,
     "again": recovery.again_if_the_scan_failed,
-    "nearby": recovery.move_nearby,
-    "bridge": recovery.bridge,
+    "nearby": lambda: errands.move_nearby(Settings()),
+    "bridge": lambda: errands.bridge(Settings()),
     "next best": recovery.next_best_instead,
     "another door": recovery.another_door,
 }

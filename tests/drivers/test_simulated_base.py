@@ -251,6 +251,24 @@ def test_a_held_base_stands_at_once_keeps_its_goal_and_its_patience_and_arrives_
     assert misses(base, DOORWAY)[0] < 0.10 and base.collisions == 0
 
 
+def test_wherever_on_its_way_it_is_held_it_goes_on_at_once_or_has_arrived():
+    base = base_in()
+    base.start_drive(goal(MAP, DOORWAY, WORLD.start))
+    holds = 0
+    while isinstance(base.drive_status("g1"), Running):
+        run(base, 0.15)
+        base.permit(NEVER)
+        base.step(0.05)
+        assert not base.telemetry().moving
+        base.permit(FOR_EVER)
+        run(base, 0.1)
+        assert base.telemetry().moving or isinstance(base.drive_status("g1"), Done), holds
+        holds += 1
+        assert holds < 1000
+    assert isinstance(base.drive_status("g1"), Done) and holds > 20
+    assert misses(base, DOORWAY)[0] < 0.10
+
+
 def test_a_permit_runs_out_by_itself():
     base = SimulatedBase(WORLD)
     base.start_drive(goal(MAP, BEYOND, WORLD.start))

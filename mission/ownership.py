@@ -37,6 +37,7 @@ def ownership(base: Base) -> Iterator[Lease]:
         FailureError: ``LEASE_HELD``, ``AGENT_UNREACHABLE``.
     """
     lease = _acquire(base, time.monotonic() + _PATIENCE_S)
+    _await_word_of(lease, base)
     try:
         yield lease
     finally:
@@ -50,6 +51,13 @@ def _acquire(base: Base, give_up: float) -> Lease:
             raise FailureError(answer.code, answer.message, **answer.evidence)
         time.sleep(wait)
     return answer
+
+
+def _await_word_of(lease: Lease, base: Base) -> None:
+    """Telemetry tells it a little later, and a mission that is taken up is told again before it could come."""
+    until = time.monotonic() + _ALIVE_S
+    while ((state := base.state()) is None or state.owner != lease.owner) and time.monotonic() < until:
+        time.sleep(0.01)
 
 
 def _silent_for(failure: Failure) -> float | None:

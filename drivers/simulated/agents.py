@@ -18,6 +18,7 @@ from drivers.simulated.scanner_device import SimulatedScannerDevice
 from drivers.simulated.scenario import Scenario, load_scenario
 from drivers.simulated.side_channel import StanceServer, ask_stance
 from drivers.simulated.truth_log import TruthLog
+from drivers.simulated.whereabouts import Whereabouts
 from drivers.simulated.world import World, read_world
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.keys import Keyring
@@ -69,10 +70,15 @@ def run_base_agent(
     scenario: Path | None = None,
     keys: Path | None = None,
 ) -> None:
-    """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`."""
+    """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`.
+
+    Started again with the same ``truth`` it stands where it stood, and its odometry begins anew.
+    """
     building = read_world(world)
     warm_up(building)
-    base = SimulatedBase(building, scenario=_scenario(scenario), seed=seed, truth=TruthLog(truth))
+    base = SimulatedBase(
+        building, scenario=_scenario(scenario), seed=seed, truth=TruthLog(truth), whereabouts=Whereabouts(truth)
+    )
     channel = StanceServer(base.stance, plant)
     ended = threading.Event()
     motion = threading.Thread(target=base.run, args=(ScaledClock(speed), ended.is_set), name="motion", daemon=True)

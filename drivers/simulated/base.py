@@ -19,6 +19,7 @@ from drivers.simulated.profile import BaseProfile
 from drivers.simulated.scenario import Scenario
 from drivers.simulated.surroundings import Surroundings
 from drivers.simulated.truth_log import TruthLog
+from drivers.simulated.whereabouts import Whereabouts
 from drivers.simulated.world import World
 from perception import transforms
 from perception.failure import FailureError
@@ -42,6 +43,7 @@ class SimulatedBase:
         scenario: people and faults.
         seed: of drift, noise and tilt.
         truth: log for the evaluation.
+        whereabouts: where it stands if it has been in this world before, and where it comes to stand.
     """
 
     def __init__(
@@ -51,12 +53,15 @@ class SimulatedBase:
         scenario: Scenario | None = None,
         seed: int = 0,
         truth: TruthLog | None = None,
+        whereabouts: Whereabouts | None = None,
     ) -> None:
         self._profile = profile or BaseProfile()
         self._scenario = scenario or Scenario()
         self._truth = truth or TruthLog()
         self._seed = seed
-        self._plant = Plant(world, self._profile, world.start, self._scenario.tracks, seed, self._scenario.base.slip_at)
+        self._whereabouts = whereabouts
+        start = (whereabouts and whereabouts.read()) or world.start
+        self._plant = Plant(world, self._profile, start, self._scenario.tracks, seed, self._scenario.base.slip_at)
         self._lidar = Lidar(Surroundings(world), self._profile.lidar, self._profile.guard, seed)
         self._localiser: Localiser | None = None
         self._drive: Drive | None = None
@@ -148,6 +153,8 @@ class SimulatedBase:
                 self._localiser.correct(sweep.plane)
         self._control(sweep, permitted)
         self._battery.step(dt, self._plant.pose[:2], self._plant.moving)
+        if self._whereabouts is not None:
+            self._whereabouts.write(self._plant.pose)
         self._stance = self._plant.stance()
         self._newest = self._report()
 

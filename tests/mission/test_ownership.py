@@ -43,13 +43,20 @@ def base_that_answers(*answers: object) -> tuple[Base, list[str]]:
         said.append("release")
         return Job(Done(None))
 
-    return SimpleNamespace(acquire=acquire, release=release), said  # type: ignore[return-value]
+    def state() -> Any:
+        """Telemetry hears of a lease a little later than who has it."""
+        asked.append(1)
+        return None if len(asked) == 1 else SimpleNamespace(owner="" if len(asked) < 5 else LEASE.owner)
+
+    asked: list[int] = []
+    return SimpleNamespace(acquire=acquire, release=release, state=state), said  # type: ignore[return-value]
 
 
 def test_the_base_is_owned_inside_and_given_back_whatever_happens() -> None:
     base, said = base_that_answers(Done(LEASE))
     with pytest.raises(RuntimeError), ownership(base) as lease:
         assert lease == LEASE and said == [myself()]
+        assert base.state().owner == LEASE.owner, "telemetry says so too"
         raise RuntimeError
     assert said[1:] == ["release"]
 

@@ -20,8 +20,8 @@ from drivers.simulated.world import Surface, Truth, World
 from perception import global_registration, registration, transforms
 from perception.failure import FailureError
 from perception.findings import Registration
+from perception.matching.surfels import Surface as Seen
 from perception.registration import Reference
-from perception.surfels import Surface as Seen
 from perception.transforms import Matrix
 
 EXPECTED = (0.4, float(np.deg2rad(4.0)))

@@ -17,8 +17,8 @@ import open3d as o3d
 from benchmarks.data import largest_room
 from perception import global_registration, registration, transforms
 from perception.failure import FailureError
+from perception.matching.surfels import Surface
 from perception.registration import Reference
-from perception.surfels import Surface
 from perception.transforms import Matrix
 
 RIGHT = (0.05, float(np.deg2rad(0.5)))

@@ -26,8 +26,8 @@ from mission.report.run import read_run
 from mission.store import RunFolder
 from perception import pose_graph, registration, transforms
 from perception.failure import FailureError
+from perception.matching.surfels import Surface, surface_of
 from perception.pose_graph import Comparison
-from perception.surfels import Surface, surface_of
 from perception.transforms import Matrix
 
 WIDTH, LENGTH, DEPTH, WALL = 2.2, 26.0, 18.0, 0.15

@@ -21,8 +21,9 @@ from scipy.spatial import cKDTree
 
 from drivers import scan_file
 from mission.process import process_folder
-from perception import alignment, global_registration, registration, surfels, transforms
+from perception import alignment, global_registration, registration, transforms
 from perception.failure import FailureError
+from perception.matching import surfels
 from perception.transforms import Matrix
 
 BAR_M, BAR_DEG = 0.05, 0.5

@@ -30,18 +30,17 @@ from perception import (
     flatness,
     labelled_map,
     next_best_view,
-    ray_walk,
     robot_map,
     segmentation,
-    sightlines,
     transforms,
     voxels,
 )
 from perception.findings import RoomShape
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import CandidateField
+from perception.rays import ray_walk, sightlines
+from perception.rays.visibility import Sight
 from perception.sensor import Sensor
-from perception.visibility import Sight
 
 HALL_M = (30.0, 30.0, 4.0)
 SAMPLE = 400

@@ -8,7 +8,8 @@ import numpy as np
 
 from drivers import recorded
 from drivers.recorded import RawScan
-from perception import stations, transforms
+from perception import transforms
+from perception.intake import stations
 from perception.scan import Scan
 from perception.transforms import Matrix
 

@@ -9,14 +9,14 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from perception.columns import CELL, SLICE, Image, Volume, volume_of
 from perception.failure import FailureError
 from perception.findings import Door, Polygon, RoomShape
-from perception.polar import crossed_between
+from perception.outline.columns import CELL, SLICE, Image, Volume, volume_of
+from perception.outline.surroundings import REACH, Views, inside_ring, relevant
+from perception.outline.walls import fit_walls
 from perception.rasters import picked
+from perception.rays.polar import crossed_between
 from perception.segmentation import Levels, floor_and_ceiling
-from perception.surroundings import REACH, Views, inside_ring, relevant
-from perception.walls import fit_walls
 
 GAP = 0.15
 """Half of the widest gap between ceiling points that is bridged, metres."""

@@ -15,9 +15,9 @@ from perception import transforms
 from perception.building import before, beyond, door_pose
 from perception.findings import Door, DoorFindings, RoomShape
 from perception.passage import passage
+from perception.rays.wall_evidence import CELL, Beam, Evidence, Wall, gather, local_points, walls_of
 from perception.scan import Scan
 from perception.transforms import Matrix
-from perception.wall_evidence import CELL, Beam, Evidence, Wall, gather, local_points, walls_of
 
 __all__ = ["DoorGates", "before", "beyond", "door_pose", "find_doors"]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from perception import transforms
 from perception.failure import FailureError
 from perception.findings import Registration
-from perception.judgement import NEAR_ODOMETRY, RegistrationLimits, is_faultless, is_held
+from perception.matching.judgement import NEAR_ODOMETRY, RegistrationLimits, is_faultless, is_held
+from perception.matching.surfels import Surface, Surfels
 from perception.registration import Reference, plausibility, register, settle
-from perception.surfels import Surface, Surfels
 from perception.transforms import Matrix
 
 _CELL = 0.15

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from perception import ray_walk, visibility
 from perception.failure import FailureError
 from perception.findings import Candidate, ViewChoice
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import CandidateField
+from perception.rays import ray_walk, visibility
+from perception.rays.visibility import Sight, View
 from perception.sensor import Sensor
-from perception.visibility import Sight, View
 
 Weight = Literal["all", "surface"]
 NOT_EVALUATED = -1
@@ -95,7 +95,7 @@ def rank_views(
     """Rank the candidates by the occluded voxels that a scan there would show.
 
     A voxel counts when its centre is within the sensor's field of view and range of the optical centre over the
-    pixel's centre, and in free sight (:mod:`perception.ray_walk`): occupied voxels and the outside of the room
+    pixel's centre, and in free sight (:mod:`perception.rays.ray_walk`): occupied voxels and the outside of the room
     block, occluded ones do not, for they may turn out empty. The optical centre is taken at the nearest eighth of a
     voxel, so that scans of one room compare.
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from perception import transforms
 from perception.findings import PoseAdjustment
+from perception.matching.surfels import Surface
 from perception.registration import LEVELS, Reference, RegistrationLimits, judge, reference_from, register
-from perception.surfels import Surface
 from perception.transforms import Matrix
 
 Poses = Mapping[str, Matrix]

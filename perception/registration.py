@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from perception import transforms
-from perception.constraint import hold
 from perception.failure import FailureError
 from perception.findings import Registration
-from perception.judgement import NEAR_ODOMETRY, RegistrationLimits, judge
-from perception.surfels import SPACING, Surface, Surfels, first_per_voxel, surface_of
+from perception.matching.constraint import hold
+from perception.matching.judgement import NEAR_ODOMETRY, RegistrationLimits, judge
+from perception.matching.surfels import SPACING, Surface, Surfels, first_per_voxel, surface_of
 from perception.transforms import Matrix
 
 __all__ = [

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from perception.flatness import Flatness, flatness_map
 from perception.grids import Cell, Grid
-from perception.polar import crossed_between
 from perception.rasters import counted, picked
+from perception.rays.polar import crossed_between
 from perception.transforms import Matrix
 
 RESOLUTION = 0.05

@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perception import misfits
-from perception.census import Census, Kind, take_census
 from perception.failure import FailureError
-from perception.repeats import Fingerprint, check_new, fingerprint_of
+from perception.intake import misfits
+from perception.intake.census import Census, Kind, take_census
+from perception.intake.repeats import Fingerprint, check_new, fingerprint_of
 from perception.scan import BeamPattern, Scan
 
 _SAMPLE = 200_000

@@ -10,11 +10,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from perception import labelling
 from perception.failure import FailureError
 from perception.findings import LabelCounts, RoomShape
-from perception.frontier import seen_and_beyond
 from perception.grids import Label, VoxelSpace
+from perception.outline.frontier import seen_and_beyond
+from perception.rays import labelling
 from perception.scan import Scan
 from perception.transforms import Matrix, inverse
 
@@ -31,9 +31,10 @@ def room_space(
     """The voxels of a room, all OCCLUDED, with the labels of an earlier space carried over.
 
     A voxel belongs to the room when it touches the contour grown by ``margin`` metres (so that wall points fall
-    inside), or the strip beyond a side where the contour ends without a wall (:mod:`perception.frontier`), and the
-    layers from floor to ceiling, both included. V grows and never shrinks: voxels of ``previous``
-    stay, with their labels. Voxels that are new to a grown space must be labelled again from all scans.
+    inside), or the strip beyond a side where the contour ends without a wall
+    (:mod:`perception.outline.frontier`), and the layers from floor to ceiling, both included. V grows and never
+    shrinks: voxels of ``previous`` stay, with their labels. Voxels that are new to a grown space must be labelled
+    again from all scans.
 
     Raises:
         FailureError: ``VOXELS_BAD_SHAPE`` if the shape holds no volume or ``previous`` has another voxel size.

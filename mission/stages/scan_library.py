@@ -14,9 +14,9 @@ from drivers import scan_file
 from mission.stages.memory import Memory
 from mission.store import RunFolder
 from perception import transforms
+from perception.matching.surfels import Surface, surface_of
 from perception.scan import Scan
 from perception.segmentation import one_per_voxel
-from perception.surfels import Surface, surface_of
 from perception.transforms import Matrix
 from perception.validation import Limits, Verdict, validate
 

@@ -16,8 +16,8 @@ from perception.findings import LabelCounts, RoomShape, ViewChoice
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import Pose, Robot
 from perception.next_best_view import NOT_EVALUATED, Ranking
+from perception.rays.visibility import Sight
 from perception.sensor import Sensor
-from perception.visibility import Sight
 
 _MOVED = 0.002
 """Poses that differ by less (metres, entries of a rotation) are the same to a voxel."""

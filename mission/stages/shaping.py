@@ -9,10 +9,11 @@ from mission.stages import selection
 from mission.stages.scan_library import Library, PlacedScans, matrix
 from mission.store import read_arrays, save_grid, write_arrays
 from mission.summaries import MapSummary
-from perception import contour, robot_map, segmentation, sightlines
+from perception import contour, robot_map, segmentation
 from perception import doors as door_finding
 from perception.findings import Door, DoorFindings, Polygon, RoomShape
 from perception.grids import Cell
+from perception.rays import sightlines
 from perception.robot_map import MapEvidence
 
 _HALF_WIDTH = 0.30

@@ -14,9 +14,10 @@ from drivers import scan_file
 from mission import stages
 from mission.stages.scan_library import Library
 from mission.store import RunFolder
-from perception import misfits, repeats, transforms, validation
+from perception import transforms, validation
 from perception.failure import FailureError
 from perception.findings import Alignment, Registration, RoomShape
+from perception.intake import misfits, repeats
 from perception.scan import BeamPattern, Scan
 from perception.validation import Limits
 from tests.perception import rooms

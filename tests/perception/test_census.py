@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.census import Kind, take_census
+from perception.intake.census import Kind, take_census
 from perception.scan import BeamPattern
 
 PATTERN = BeamPattern(40, 11, -0.6, 1.0, 0.5, 20.0)

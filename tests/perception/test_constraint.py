@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from perception.constraint import hold
+from perception.matching.constraint import hold
 
 RNG = np.random.default_rng(0)
 

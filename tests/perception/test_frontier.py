@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from perception.findings import RoomShape
-from perception.frontier import DEPTH, open_sides, seen_and_beyond
+from perception.outline.frontier import DEPTH, open_sides, seen_and_beyond
 from perception.voxels import room_space
 
 CORNERS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [0.0, 2.0]])

@@ -3,7 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter
 
-from perception import labelling, transforms
+from perception import transforms
+from perception.rays import labelling
 
 SHAPE, SIZE, BEAMS = (7, 5, 6), 0.1, (50, 60)
 ORIGIN = np.array([2.0, -1.0, 0.5])

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception import ray_walk
 from perception.failure import FailureError
 from perception.grids import Grid, Label, VoxelSpace
 from perception.labelled_map import CandidateField
 from perception.next_best_view import NOT_EVALUATED, Travel, next_best_view, rank_views, surface
+from perception.rays import ray_walk
 from perception.sensor import Sensor
 
 SENSOR = Sensor(0.55, np.deg2rad(-40), np.deg2rad(60), 0.2, 120.0)

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.grids import Grid
-from perception.polar import crossed_between
+from perception.rays.polar import crossed_between
 
 BIN, STEP, REACH = 0.025, np.deg2rad(2.0), 6.0
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from perception import pose_graph, transforms
 from perception.failure import FailureError
+from perception.matching.surfels import surface_of
 from perception.pose_graph import Comparison
 from perception.scan import BeamPattern
-from perception.surfels import surface_of
 from tests.synthetic import Scene, box
 
 INFORMATION = np.diag([4.0, 4.0, 4.0, 0.3, 0.3, 0.3])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.findings import Door
-from perception.sightlines import believable
+from perception.rays.sightlines import believable
 
 ROOM = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
 STATION = (1.0, 1.5, 1.3)

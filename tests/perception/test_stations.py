@@ -7,8 +7,8 @@ import pytest
 
 from perception import transforms
 from perception.failure import FailureError
+from perception.intake.stations import find_stations, seen_from, taken_from_origin
 from perception.scan import BeamPattern
-from perception.stations import find_stations, seen_from, taken_from_origin
 from tests.synthetic import Scene, box
 
 TRIPOD = BeamPattern.with_step(np.deg2rad(0.45), (np.deg2rad(-60), np.deg2rad(85)), (0.3, 60.0))

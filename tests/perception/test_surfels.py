@@ -4,10 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from perception import thinning, transforms
-from perception.planes import fit_planes
+from perception import transforms
+from perception.matching import thinning
+from perception.matching.planes import fit_planes
+from perception.matching.surfels import first_per_voxel, surface_of
 from perception.scan import BeamPattern
-from perception.surfels import first_per_voxel, surface_of
 from tests.synthetic import Scene, box
 
 PATTERN = BeamPattern.with_step(np.deg2rad(0.8), (np.deg2rad(-40), np.deg2rad(60)), (0.5, 120.0))

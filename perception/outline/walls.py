@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from perception.findings import Polygon
 from perception.grids import Grid
+from perception.outline.surroundings import Views
 from perception.rasters import picked
 from perception.segmentation import Histogram, Interval, local_maxima, peak_interval
-from perception.surroundings import Views
 
 Vector = NDArray[np.float64]
 

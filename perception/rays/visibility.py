@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perception import ray_walk
 from perception.grids import Label, VoxelSpace
+from perception.rays import ray_walk
 
 MOST_WORDS = 12_000_000
 """Pairs of candidate and column that are kept in memory, 8 bytes each."""
@@ -22,7 +22,7 @@ class View:
     """From which height, and how far, every candidate looks.
 
     Args:
-        level: of the optical centre above the lower face of the space, in units of :mod:`perception.ray_walk`.
+        level: of the optical centre above the lower face of the space, in units of :mod:`perception.rays.ray_walk`.
         slopes: tangents of the least and greatest elevation.
         ranges: least and greatest range in those units.
     """

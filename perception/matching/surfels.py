@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
-from perception import thinning, transforms
-from perception.planes import fit_planes
+from perception import transforms
+from perception.matching import thinning
+from perception.matching.planes import fit_planes
 from perception.transforms import Matrix
 
 SPACING = 0.08

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -289,13 +290,17 @@ def test_a_link_that_went_deaf_is_replaced_and_the_request_keeps_its_id():
         client = BaseClient(Endpoints(endpoint, telemetry=ANY_PORT.replace("*", "1")), QUICK)
         job = client.stop()
         deaf, first = socket.recv_multipart()
-        identity, frame = deaf, first
-        while identity == deaf:
+        request_ids = set()
+        while isinstance(job.poll(), Running):
             assert socket.poll(20_000), "it never tried another link"
             identity, frame = socket.recv_multipart()
-        request_id = requests.decode(frame).request_id
-        socket.send_multipart([identity, encode(Reply(PROTOCOL, request_id, Ok(), "boot", 0.0))])
-        assert value_of(job) is None and request_id == requests.decode(first).request_id
+            request_ids.add(requests.decode(frame).request_id)
+            if identity != deaf:
+                with suppress(zmq.ZMQError):  # on a busy machine that link may have been given up as well by now
+                    reply = Reply(PROTOCOL, requests.decode(frame).request_id, Ok(), "boot", 0.0)
+                    socket.send_multipart([identity, encode(reply)])
+                eventually(lambda: socket.poll(0) or not isinstance(job.poll(), Running))
+        assert value_of(job) is None and request_ids <= {requests.decode(first).request_id}
         client.close()
 
 

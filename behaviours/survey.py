@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from drivers.interfaces import BaseState, ScanReceipt
 from perception.building import Building
+from perception.failure import Failure
 from perception.findings import Alignment, Door, LabelCounts, Registration, RoomShape
 from perception.stopping import StopDecision
 from perception.transforms import Matrix, difference, inverse, planar, to_planar
@@ -123,6 +124,8 @@ class Survey:
     questions_asked: int = 0
     loops_closed: int = 0
     """Loops that all poses were last adjusted to."""
+    stranded: Failure | None = None
+    """Why the robot did not come home when the work was done."""
 
     @property
     def position(self) -> tuple[float, float]:

@@ -366,6 +366,8 @@ def _finish(mission: Any, as_json: bool) -> None:
     else:
         rooms = ", ".join(f"{room['id']} ({room['scans']} scans, {room['reason_ended']})" for room in summary.rooms)
         typer.echo(f"{summary.outcome}: {len(summary.rooms)} rooms, {summary.scans} scans in {summary.wall_s:.0f} s")
+        if summary.reason:
+            typer.echo(summary.reason)
         typer.echo(rooms)
         typer.echo(f"{summary.run}/report.html")
     raise typer.Exit(EXIT_CODES[summary.outcome])

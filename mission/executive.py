@@ -88,6 +88,7 @@ class Executive:
             for node in self.root.iterate():
                 node.setup(services=self._services)
             outcome = self._tick_to_the_end()
+            cause = self.survey.stranded or NOTHING
         except Exception as error:
             cause = self._note(error)
         except KeyboardInterrupt as error:

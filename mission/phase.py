@@ -65,7 +65,9 @@ class State:
 
     @classmethod
     def at_the_end(cls, outcome: str, cause: Failure = NOTHING) -> "State":
-        """The phase that an outcome of the executive ends in, and what ended it where that was a fault."""
+        """The phase that an outcome of the executive ends in, and what went wrong where something did: what ended it in
+        a fault, or what kept the robot from home.
+        """
         return cls(_ENDS[outcome], "SAFETY_STOP" if outcome == "safety_stop" else cause.code, cause.message)
 
 

@@ -24,6 +24,7 @@ from mission.ownership import ownership
 from mission.phase import Course, State
 from mission.preflight import UnreachableError, preflight
 from mission.remembering import heeding, remembering
+from mission.state import reason_of
 from mission.store import RunFolder, write_text
 from mission.worker import PerceptionWorker
 from perception.failure import FailureError
@@ -32,10 +33,11 @@ from trees.building import create_root
 
 @dataclass(frozen=True)
 class Summary:
-    """How a mission ended, as ``--json`` prints it."""
+    """How a mission ended, as ``--json`` prints it; ``reason`` is what went wrong at the end, empty if nothing did."""
 
     run: str
     outcome: str
+    reason: str
     rooms: list[dict[str, Any]]
     scans: int
     wall_s: float
@@ -135,6 +137,7 @@ def summarise(folder: RunFolder, state: dict[str, Any]) -> Summary:
     return Summary(
         run=str(folder.path),
         outcome=state["outcome"],
+        reason=reason_of(state),
         rooms=[_room_summary(room) for room in state["rooms"]],
         scans=len(state["scans"]),
         wall_s=state["wall_s"],

@@ -19,6 +19,12 @@ def describe(survey: Survey) -> dict[str, Any]:
     }
 
 
+def reason_of(state: Mapping[str, Any]) -> str:
+    """What went wrong at the end of a mission, code and words, by its ``state.json``; empty if nothing did."""
+    code, message = state.get("code") or "", state.get("message") or ""
+    return f"{code}: {message}" if message else code
+
+
 def _room(survey: Survey, room: Mapping[str, Any]) -> dict[str, Any]:
     room_id = room["id"]
     shape = survey.shapes.get(room_id)

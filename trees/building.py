@@ -8,12 +8,13 @@ from behaviours.adjusting import OptimisePoses
 from behaviours.asking import Ask
 from behaviours.conditions import MapFrameIsMade
 from behaviours.freeze import Freeze
+from behaviours.homecoming import Stranded
 from behaviours.recover import Recover
 from behaviours.rooms import ChooseDoor, DoorsWereRefused, TryDoorsAgain
 from behaviours.safety import EndMission, SenseBase
 from behaviours.settings import Settings
 from trees import recovery
-from trees.compose import at_every_tick, if_possible, most_important, steps, until_failure
+from trees.compose import at_every_tick, first_that_works, if_possible, most_important, steps, until_failure
 from trees.errands import drive, go_home
 from trees.room import room
 from trees.safety import abort, watch
@@ -34,7 +35,7 @@ def create_root(settings: Settings | None = None) -> Behaviour:
 
 def building(settings: Settings) -> Behaviour:
     """Rooms in the order of the paper: one is finished, then the robot goes under the door to the next."""
-    home = [if_possible("home", go_home(settings))] if settings.building.return_to_start else []
+    home = [homewards(settings)] if settings.building.return_to_start else []
     return steps(
         "building",
         until_failure("every room", steps("room and door", room(settings), next_door(settings))),
@@ -42,6 +43,10 @@ def building(settings: Settings) -> Behaviour:
         if_possible("last word on the poses", last_word()),
         EndMission("end the mission", "finished"),
     )
+
+
+def homewards(settings: Settings) -> Behaviour:
+    return first_that_works("home", go_home(settings), Stranded("say why not"))
 
 
 def last_word() -> Behaviour:

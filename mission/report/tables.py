@@ -5,6 +5,7 @@ from typing import Any
 
 from mission.report.run import Record, Run
 from mission.report.timing import status
+from mission.state import reason_of
 
 Row = dict[str, Any]
 
@@ -60,7 +61,7 @@ def outcome(run: Run) -> Row:
     return {
         "run": run.name,
         "outcome": run.state.get("outcome") or last.get("outcome") or "unfinished",
-        "reason": run.state.get("reason") or last.get("reason") or "",
+        "reason": reason_of(run.state),
         "started": run.state.get("started"),
         "ended": run.state.get("ended"),
         "wall_s": run.state.get("wall_s"),

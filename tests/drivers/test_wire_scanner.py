@@ -12,11 +12,13 @@ import pytest
 from drivers import scan_file
 from drivers.agent import Agent, scanner_agent, serve_scanner
 from drivers.interfaces import ScannerInfo
-from drivers.jobs import Running
-from drivers.messages import PROTOCOL
+from drivers.jobs import Progress, Running
+from drivers.messages import PROTOCOL, Ok, Release
 from drivers.wire import scanner_server
+from drivers.wire.client import Link
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.scanner_client import ScannerClient
+from drivers.wire.sockets import Sockets
 from perception import transforms
 from perception.failure import Failure, FailureError
 from tests.drivers.wire_fakes import (
@@ -60,6 +62,15 @@ def test_a_scan_is_taken_fetched_and_released(device, client, tmp_path):
     path = value_of(client.fetch(receipt, tmp_path / "scans" / "S01.scan"))
     assert path.read_bytes() == scan_file.encode(make_scan("S01"))
     eventually(lambda: not (tmp_path / "spool" / "S01.scan").exists())
+
+
+def test_only_the_very_scan_that_is_safe_elsewhere_is_forgotten(client, agent, tmp_path):
+    receipt = value_of(client.take("S01", SETTINGS, ODOMETRY))
+    with Link(Sockets(), agent.endpoints.control, QUICK, Progress()) as link:
+        link.ask(Release("S01", "0" * 64), Ok)
+        assert (tmp_path / "spool" / "S01.scan").exists()
+        link.ask(Release("S01", receipt.sha256), Ok)
+        assert not (tmp_path / "spool" / "S01.scan").exists()
 
 
 def test_the_scanner_says_who_it_is(client):

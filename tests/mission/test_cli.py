@@ -149,9 +149,9 @@ def test_an_agent_without_a_world_is_refused(tmp_path: Path) -> None:
 # --- how a mission's end becomes an exit code ------------------------------------------------------------------------
 
 
-def ending(outcome: str) -> Callable[..., Summary]:
+def ending(outcome: str, reason: str = "") -> Callable[..., Summary]:
     room = {"id": "R1", "scans": 2, "reason_ended": "lambda_mu", "growing_rate": 0.01, "occluded_decrease_rate": 0.02}
-    return lambda *_: Summary("runs/x", outcome, [room], 2, 61.0, 610.0)
+    return lambda *_: Summary("runs/x", outcome, reason, [room], 2, 61.0, 610.0)
 
 
 @pytest.mark.parametrize(
@@ -161,11 +161,24 @@ def test_the_outcome_is_the_exit_code(outcome: str, code: int, monkeypatch: pyte
     monkeypatch.setattr(rehearsal, "rehearse", ending(outcome))
     result = call("simulate", "school", "--json")
     assert result.exit_code == code
-    assert list(json.loads(result.stdout)) == ["run", "outcome", "rooms", "scans", "wall_s", "simulated_s"]
+    assert list(json.loads(result.stdout)) == ["run", "outcome", "reason", "rooms", "scans", "wall_s", "simulated_s"]
     words = call("simulate", "school")
     assert words.exit_code == code
     assert f"{outcome}: 1 rooms, 2 scans in 61 s" in words.stdout
     assert "runs/x/report.html" in words.stdout
+
+
+@pytest.mark.parametrize(
+    ("outcome", "reason"),
+    [
+        ("complete", "NAV_BLOCKED: the robot did not come home: something stays in the way"),
+        ("fault", "RESUME_DIVERGED: job 3 was take S01, but this tree begins drive G01"),
+    ],
+)
+def test_what_went_wrong_at_the_end_is_told(outcome: str, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rehearsal, "rehearse", ending(outcome, reason))
+    assert reason in call("simulate", "school").stdout.splitlines()
+    assert json.loads(call("simulate", "school", "--json").stdout)["reason"] == reason
 
 
 def raising(error: BaseException) -> Callable[..., Summary]:
@@ -248,7 +261,7 @@ def test_the_doctor_says_what_it_found_as_words_and_as_json() -> None:
     words, figures = call("doctor"), call("doctor", "--json")
     assert words.exit_code == figures.exit_code == 0
     findings = json.loads(figures.stdout)
-    assert [list(finding) for finding in findings] == [["what", "good", "found"]] * len(findings)
+    assert [list(finding) for finding in findings] == [["what", "good", "found", "doubtful"]] * len(findings)
     assert {"Python", "numpy", "disk"} <= {finding["what"] for finding in findings}
     assert words.stdout.count("ok  ") == len(findings)
 

@@ -16,7 +16,7 @@ from mission.clock import MissionClock
 from mission.executive import TICK, Executive, active_branch, verdict
 from mission.phase import Phase, State
 from perception.building import Building
-from perception.failure import Failure
+from perception.failure import Failure, FailureError
 from perception.findings import Door
 from tests.behaviours.bench import Bench, HandJob
 
@@ -81,6 +81,16 @@ def test_the_outcome_is_what_the_tree_wrote(outcome: str) -> None:
     bench, found = executed(Ending(3, outcome))
     assert found == outcome
     assert bench.stops == 1
+
+
+def test_a_mission_that_cannot_be_told_again_is_a_fault_with_its_own_code_and_words() -> None:
+    def diverge(_: object) -> None:
+        raise FailureError("RESUME_DIVERGED", "job 3 was take S01, but this tree begins drive G01")
+
+    bench = ObedientBench()
+    executive = Executive(Ending(1, "finished"), bench.services, mission_clock(bench), recall=diverge)  # type: ignore[arg-type]
+    assert executive.run() == "fault"
+    assert str(executive.course.state) == ("FAULT(RESUME_DIVERGED): job 3 was take S01, but this tree begins drive G01")
 
 
 def test_a_tree_that_ends_without_an_outcome_is_a_fault() -> None:

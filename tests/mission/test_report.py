@@ -85,6 +85,18 @@ def test_registrations_get_the_verdict_of_their_weakest_figure(run: FakeRun) -> 
     assert verdicts == {"S01": "reference", "S02": "pass", "S03": "fail"}
 
 
+@pytest.mark.parametrize("outcome", ["complete", "fault"])
+def test_what_went_wrong_at_the_end_stands_at_the_top(outcome: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path)
+    state = json.loads((run.folder / "state.json").read_text())
+    assert tables.outcome(read_run(run.folder))["reason"] == ""
+    state |= {"outcome": outcome, "code": "NAV_BLOCKED", "message": "the robot did not come home: a cart"}
+    (run.folder / "state.json").write_text(json.dumps(state))
+    write_report(run.folder)
+    assert "NAV_BLOCKED: the robot did not come home: a cart." in " ".join(Text(page(run)).words.split())
+    assert json.loads((run.folder / "report.json").read_text())["summary"]["reason"].startswith("NAV_BLOCKED: ")
+
+
 def test_every_scan_has_its_residual_and_how_far_the_pose_graph_moved_it(tmp_path: Path) -> None:
     run = write_run(tmp_path)
     assert tables.pose_graph(read_run(run.folder)) is None

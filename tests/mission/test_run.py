@@ -33,7 +33,7 @@ def test_the_summary_has_the_last_rates_of_each_room(tmp_path: Path) -> None:
     ]
     state = {"outcome": "incomplete", "rooms": rooms, "scans": [{}, {}], "wall_s": 3.0, "simulated_s": 30.0}
     summary = summarise(RunFolder(tmp_path), state)
-    assert (summary.run, summary.scans, summary.outcome) == (str(tmp_path), 2, "incomplete")
+    assert (summary.run, summary.scans, summary.outcome, summary.reason) == (str(tmp_path), 2, "incomplete", "")
     assert [room["growing_rate"] for room in summary.rooms] == [0.1, None]
     assert [room["scans"] for room in summary.rooms] == [2, 0]
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from behaviours.settings import BuildingSettings, Settings
+from mission.phase import Phase
 from perception.findings import Door, DoorFindings
 from tests.scenarios.play import Play
 from tests.scenarios.site import row, star
@@ -70,6 +71,9 @@ def test_a_robot_shut_in_in_the_last_room_has_scanned_all_and_says_that_it_is_no
     play.each_tick = falls_shut
     assert play.run() == "complete"
     assert (play.events.of("drive")[-1]["purpose"], play.events.codes[-1]) == ("start", "NAV_BLOCKED")
+    state = play.executive.course.state
+    assert (state.phase, state.code) == (Phase.DONE, "NAV_BLOCKED")
+    assert state.message.startswith("the robot did not come home: ")
 
 
 def test_the_only_door_shut_leaves_one_room_and_an_incomplete_building() -> None:

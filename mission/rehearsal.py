@@ -2,13 +2,17 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
@@ -16,6 +20,7 @@ import yaml
 from drivers.wire.endpoints import Endpoints
 from mission.bulletin import Display
 from mission.config import ConfigError, SiteConfig, parse_config
+from mission.control import CONTROL_FILE
 from mission.preflight import UnreachableError
 from mission.run import Summary, run_mission
 from mission.store import RunFolder, write_text
@@ -55,27 +60,34 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
         ConfigError: when an override breaks a rule.
         UnreachableError: when an agent does not come up.
     """
-    # The simulation and the deliveries load much that must stay out of the process that ticks until it is needed.
-    from drivers.simulated.world import save_world
-    from drivers.simulated.worlds import load_world
-
     # Checked before anything is started: a wrong override must not cost a building.
     configure(plan, Endpoints(_ANY_PORT), Endpoints(_ANY_PORT))
     _check_simulation(plan)
-    world = load_world(plan.world, plan.seed, **plan.options)
-    folder = RunFolder.create(out, plan.site)
-    folder.simulation.mkdir()
-    world_file = folder.simulation / "world.npz"
-    save_world(world, world_file)
+    with TemporaryDirectory() as scratch:
+        built = Path(scratch) / "world.npz"
+        # What it takes to read a building would stay in the process that ticks.
+        with ProcessPoolExecutor(1, get_context("spawn")) as builder:
+            builder.submit(_build, plan, built).result()
+        folder = RunFolder.create(out, plan.site)
+        folder.simulation.mkdir()
+        shutil.move(built, folder.world)
     write_text(folder.rehearsal, json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
-    with agents(plan, world_file, folder.simulation) as (scanner, base):
+    with agents(plan, folder) as (scanner, base):
         summary = run_mission(configure(plan, scanner, base), folder, display)
+    # The deliveries load much too.
     from mission.evaluation import evaluate_run
     from mission.finish import finish
 
     evaluate_run(folder.path)
     finish(folder)
     return summary
+
+
+def _build(plan: Rehearsal, file: Path) -> None:
+    from drivers.simulated.world import save_world
+    from drivers.simulated.worlds import load_world
+
+    save_world(load_world(plan.world, plan.seed, **plan.options), file)
 
 
 def configure(plan: Rehearsal, scanner: Endpoints, base: Endpoints) -> SiteConfig:
@@ -104,10 +116,19 @@ def _check_simulation(plan: Rehearsal) -> None:
             raise ConfigError(f"--scenario {plan.scenario}: {error}") from error
 
 
+def plan_of(folder: RunFolder) -> Rehearsal:
+    """What was rehearsed in a folder."""
+    told = json.loads(folder.rehearsal.read_text(encoding="utf-8"))
+    scenario = Path(told["scenario"]) if told["scenario"] else None
+    return Rehearsal(**told | {"scenario": scenario, "overrides": tuple(told["overrides"])})
+
+
 @contextmanager
-def agents(plan: Rehearsal, world: Path, truth: Path) -> Iterator[tuple[Endpoints, Endpoints]]:
-    """Both agents as processes of their own, ended on the way out whatever happens."""
-    common = [f"--world={world}", f"--truth={truth.resolve()}", f"--seed={plan.seed}", f"--speed={plan.speed}"]
+def agents(plan: Rehearsal, folder: RunFolder) -> Iterator[tuple[Endpoints, Endpoints]]:
+    """Both agents as processes of their own, ended on the way out whatever happens, or by themselves a while later."""
+    truth = folder.simulation
+    common = [f"--world={folder.world}", f"--truth={truth.resolve()}", f"--seed={plan.seed}", f"--speed={plan.speed}"]
+    common.append(f"--serves={folder.path / CONTROL_FILE}")
     if plan.scenario is not None:
         common.append(f"--scenario={plan.scenario}")
     with _process("base", [*common, f"--plant={_ANY_PORT}", f"--telemetry={_ANY_PORT}"], truth) as base:
@@ -124,7 +145,7 @@ def _process(name: str, arguments: list[str], log_folder: Path) -> Iterator[dict
     command = [sys.executable, "-m", "mission", "agent", name, f"--control={_ANY_PORT}", *arguments]
     log = log_folder / f"{name}.log"
     with (
-        log.open("w") as errors,
+        log.open("a") as errors,
         # In a group of its own: Ctrl-C is the mission's to answer, and the base must still be there to be stopped.
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, process_group=0) as process,
     ):

@@ -37,6 +37,13 @@ class FailureIs(Condition):
         )
 
 
+class FailureIsNot(FailureIs):
+    """Whether the newest failure has none of these codes: where any other can be helped."""
+
+    def holds(self) -> bool:
+        return not super().holds()
+
+
 class LetTheWatchLook(Leaf):
     """Waits for as long as it takes the watch to see what stopped the work, and to hold the mission if it must."""
 

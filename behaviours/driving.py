@@ -1,5 +1,6 @@
 """Leaves that send the base somewhere; the base plans, drives and stops before obstacles by itself."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -28,7 +29,7 @@ class DriveToTarget(JobLeaf):
     def start(self) -> Job[DriveReport]:
         target: Target | None = self.read(Key.TARGET)
         survey: Survey = self.read(Key.SURVEY)
-        if target is None:
+        if target is None or not math.isfinite(target.x + target.y):
             raise FailureError("NAV_NO_TARGET", "no place to drive to was chosen")
         if survey.map_id is None:
             raise FailureError("NAV_NO_MAP", "no robot map yet, so nowhere is known to be free")

@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 from py_trees.common import Status
 
 from behaviours.leaf import Leaf
+from behaviours.sound import unsound
 from drivers.jobs import Done, Failed, Job
 from perception.failure import Failure
 
@@ -38,6 +39,9 @@ class JobLeaf(Leaf):
         outcome = self._job.poll()
         if isinstance(outcome, Done):
             self._job = None
+            no_number = unsound(outcome.value)
+            if no_number:
+                return self.failed(Failure("RESULT_NOT_FINITE", f"{self.name}: {no_number} holds what is no number"))
             return self.finish(outcome.value)
         if isinstance(outcome, Failed):
             self._job = None

@@ -60,7 +60,8 @@ class Ledger:
         path: the file; made if absent.
 
     Raises:
-        FailureError: ``LEDGER_IN_USE`` when another process has it, ``LEDGER_BAD`` when it is none or is damaged.
+        FailureError: ``LEDGER_IN_USE`` when another process has it, ``LEDGER_BAD`` when it is none or is damaged,
+            ``DISK_FULL``, ``IO_ERROR``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,17 +69,17 @@ class Ledger:
         self._lock = threading.Lock()
         self._last_hash = _FIRST
         self._broken: FailureError | None = None
+        self._db = _connected(path)
         try:
-            self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=0.5)
             # Before WAL: an exclusive WAL needs no shared memory, and turns a second executive away at once.
             self._db.execute("PRAGMA locking_mode=EXCLUSIVE")
             self._db.execute("PRAGMA journal_mode=WAL")
             self._open()
-        except sqlite3.OperationalError as error:
-            code = "LEDGER_IN_USE" if "locked" in str(error) else "LEDGER_BAD"
-            raise FailureError(code, f"{path}: {error}", path=str(path)) from error
-        except sqlite3.DatabaseError as error:
-            raise FailureError("LEDGER_BAD", f"{path}: {error}", path=str(path)) from error
+        except BaseException as error:
+            self._db.close()  # or its lock would keep the next one out
+            if isinstance(error, sqlite3.DatabaseError):
+                raise _refusal(path, error) from error
+            raise
 
     def _open(self) -> None:
         self._db.execute("BEGIN EXCLUSIVE")
@@ -195,6 +196,20 @@ class Ledger:
     def _roll_back(self) -> None:
         if self._db.in_transaction:
             self._db.execute("ROLLBACK")
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    try:
+        return sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=0.5)
+    except sqlite3.DatabaseError as error:
+        raise _refusal(path, error) from error
+
+
+def _refusal(path: Path, error: sqlite3.DatabaseError) -> FailureError:
+    """Why a ledger cannot be opened."""
+    kinds = {"locked": "LEDGER_IN_USE", "full": "DISK_FULL", "disk I/O": "IO_ERROR"}
+    code = next((code for words, code in kinds.items() if words in str(error)), "LEDGER_BAD")
+    return FailureError(code, f"{path}: {error}", path=str(path))
 
 
 def chained(previous: str, body: str) -> str:

@@ -2,7 +2,7 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import FailureIs, LetTheWatchLook
+from behaviours.conditions import FailureIs, FailureIsNot, LetTheWatchLook
 from behaviours.recover import Recover
 from behaviours.rooms import DeferDoor
 from behaviours.viewing import AvoidView
@@ -12,7 +12,7 @@ ANOTHER_SCAN_MAY_HELP = ("SCAN_", "ALIGN_", "XFER_BROKEN")
 HELP_WITH = (
     "REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "DISK_FULL", "IO_ERROR", "SPOOL_FAILED",
     "DEVICE_FORGOT",
-    "DRIVER_EXCEPTION", "ESTOP", "LEAF_EXCEPTION",
+    "DRIVER_EXCEPTION", "RESULT_NOT_FINITE", "ESTOP", "LEAF_EXCEPTION",
 )  # fmt: skip
 """Codes of what a person at the robot may be able to put right."""
 _ATTEMPTS = 3
@@ -48,5 +48,9 @@ def next_best_instead() -> Behaviour:
 
 
 def another_door() -> Behaviour:
-    """A door that cannot be passed is left for later."""
-    return steps("another door", FailureIs("door blocked?", "NAV_"), DeferDoor("leave this door for later"))
+    """A door that was not reached, whatever the reason, is left for later."""
+    return steps(
+        "another door",
+        FailureIsNot("a door left?", "NO_DOOR_LEFT", "MAX_ROOMS"),
+        DeferDoor("leave this door for later"),
+    )

@@ -170,7 +170,7 @@ class Monitor:
 
     def assert_kept(self) -> None:
         """Every promise was kept so far."""
-        assert self.breaches == []
+        assert self.breaches == [], "; ".join(dict.fromkeys(self.breaches))
 
     def assert_at_rest(self, rows: list[JobRow]) -> None:
         """What holds on every way out: a declared end, nothing runs, the base stands, nothing lost, all explained.
@@ -188,7 +188,8 @@ class Monitor:
         assert [f"{row.kind} {row.name}" for row in rows if row.ended is None] == [], "a job has no end in the ledger"
         self._assert_log_is_whole()
         self._assert_nothing_is_lost(rows)
-        assert unexplained(self.executive, self.said, self.of("failure")) == []
+        found = unexplained(self.executive, self.said, self.of("failure"))
+        assert found == [], "; ".join(found)
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Figures of this life's events of a kind."""

@@ -32,7 +32,6 @@ TICK_S = 10.0
 OWNER = "this mission"
 
 _IN_MEMORY = Path(":memory:")
-_TOO_MANY_TICKS = 3000
 
 
 class Events(list[dict[str, Any]]):
@@ -69,6 +68,7 @@ class Play:
     settings: Settings = field(default_factory=Settings)
     each_tick: Callable[["Play", int], None] = lambda _play, _ticks: None
     abort_at: int | None = None
+    most_ticks: int = 3000
     attended: bool = False
     root: Behaviour = field(init=False)
     ticks: int = 0
@@ -149,7 +149,7 @@ class Play:
     def _after_tick(self, ticks: int) -> None:
         self.ticks = ticks
         self.monitor.ticked(ticks)
-        assert ticks < _TOO_MANY_TICKS, "this mission does not end"
+        assert ticks < self.most_ticks, "this mission does not end"
         self.each_tick(self, ticks)
 
 

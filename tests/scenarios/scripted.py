@@ -62,9 +62,13 @@ class ScriptedJob:
     def over(self) -> bool:
         return self.cancelled or self.outcome is not None
 
-    def poll(self) -> Outcome[Any]:
+    def settle(self) -> None:
+        """What is due by now has happened, whether or not anybody asks."""
         if self.outcome is None and not self.cancelled and self._clock.now() >= self._ends:
             self.outcome = self._conclude()
+
+    def poll(self) -> Outcome[Any]:
+        self.settle()
         return self.outcome or Running(None, self.what)
 
     def cancel(self) -> None:
@@ -159,6 +163,8 @@ class ScriptedBase:
         self.odom_from_map = ODOM_FROM_MAP
         self.boots = 1
         self.was_placed = False
+        self.has_slipped = False
+        self._drives: list[ScriptedJob] = []
         self.beats: list[tuple[int, bool]] = []
         self._script = script
 
@@ -167,6 +173,8 @@ class ScriptedBase:
         return transforms.planar(*self.pose)
 
     def state(self) -> BaseState | None:
+        for job in self._drives:
+            job.settle()
         age = 0.0 if self.silent_since is None else self._script.clock.now() - self.silent_since
         odometry = self.odom_from_map @ self.map_from_base
         return BaseState(
@@ -183,6 +191,13 @@ class ScriptedBase:
         self.boots += 1
         self.owner, self.was_placed = "", False
 
+    def slip(self, x: float, y: float, yaw: float) -> None:
+        """It is moved by so much, and its wheels do not notice: odometry says that it stands where it stood."""
+        odometry = self.odom_from_map @ self.map_from_base
+        self.pose = (self.pose[0] + x, self.pose[1] + y, self.pose[2] + yaw)
+        self.odom_from_map = odometry @ transforms.inverse(self.map_from_base)
+        self.has_slipped = True
+
     def acquire(self, owner: str) -> ScriptedJob:
         self.owner = self.owner or owner
         return self._script.job("acquire", lambda: Lease(self.boots, 1, owner))
@@ -197,11 +212,13 @@ class ScriptedBase:
     def drive(self, goal: DriveGoal) -> ScriptedJob:
         assert goal.goal_id not in {known.goal_id for known in self.goals}, "a goal is never driven twice"
         if goal.map_from_base is not None:
-            assert np.allclose(goal.map_from_base, self.map_from_base), "the base is not where it is said to be"
+            told = np.allclose(goal.map_from_base, self.map_from_base)
+            assert told or self.has_slipped, "the base is not where it is said to be"
             self.was_placed = True
         self.goals.append(goal)
         self.commands.append("drive")
-        return self._script.job("drive", lambda: self._arrive(goal))
+        self._drives.append(self._script.job("drive", lambda: self._arrive(goal)))
+        return self._drives[-1]
 
     def stop(self) -> ScriptedJob:
         self.commands.append("stop")
@@ -309,9 +326,11 @@ class ScriptedPerception:
     def anchor_scan(self, scan_id: str) -> Registration:
         return self._found(scan_id, "anchor")
 
-    def register_scan(self, scan_id: str, guess: list[list[float]], **_: Any) -> Registration:
+    def register_scan(self, scan_id: str, guess: list[list[float]], error_m: float, **_: Any) -> Registration | Failure:
         found = self._found(scan_id, "icp")
         self.guess_errors.append(transforms.difference(np.array(guess), found.map_from_scanner))
+        if self.guess_errors[-1][0] > 3 * error_m:
+            return Failure("REG_INCONSISTENT", "it fits, but not where odometry has it")
         return found
 
     def register_globally(self, scan_id: str, **_: Any) -> Registration:

@@ -215,6 +215,24 @@ def test_a_held_interlock_keeps_the_base_where_it_is() -> None:
     assert {may_move for _, may_move in bench.beats} == {False}
 
 
+class Waiting(Ending):
+    """Keeps something on the blackboard that a mission waits for."""
+
+    def __init__(self, key: Key, value: object) -> None:
+        super().__init__(3, "aborted")
+        self.key, self.value = key, value
+
+    def update(self) -> Status:
+        Blackboard.set(self.key, self.value)
+        return super().update()
+
+
+@pytest.mark.parametrize(("key", "value"), [(Key.HOLD, Failure("DISK_FULL", "no room")), (Key.QUESTION, "go on?")])
+def test_nothing_may_move_while_the_mission_holds_or_asks(key: Key, value: object) -> None:
+    bench, _ = executed(Waiting(key, value))
+    assert [may_move for _, may_move in bench.beats] == [False] * 3
+
+
 def test_mission_time_stands_still_while_it_is_paused() -> None:
     words = iter(["run", "run", *["pause"] * 8, "run", "run"])
     bench, times = ObedientBench(), []

@@ -38,7 +38,13 @@ from perception import transforms
 from tests.missions.flights import ENOUGH, PATIENCE_S, TWO_ROOMS, free_ports, mission, write_site
 
 VICTIMS = ("executive", "worker", "scanner", "base")
-SPEED, STEP = 20.0, 0.8
+SPEED = 20.0
+CHANGES = (
+    ENOUGH,
+    "settings.scanning.step_deg=0.8",
+    # Mission time runs twenty times as fast here, and an agent takes as long as ever to come up.
+    "settings.building.base_return_s=6000",
+)
 POSE_M, AREA = 0.02, 0.05
 """How far a pose may be from the truth, metres, and a room's area from the undisturbed one, as a share."""
 
@@ -191,7 +197,7 @@ def fly(world: Path, victim: str | None = None, instant: float = 0.0) -> Flight:
     began = time.monotonic()
     with ExitStack() as stack:
         up = stack.enter_context(rig(Path(stack.enter_context(tempfile.TemporaryDirectory())), world))
-        flags = ("--unattended", "--json", f"--set={ENOUGH}", f"--set=settings.scanning.step_deg={STEP}")
+        flags = ("--unattended", "--json", *(f"--set={change}" for change in CHANGES))
         up.start("executive", "run", up.site, f"--out={up.folder / 'runs'}", *flags)
         stored: set[str] = set()
         node = ""

@@ -31,6 +31,10 @@ app.add_typer(agent, name="agent")
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout; words go to stderr.")]
 Keys = Annotated[Path | None, typer.Option("--keys", help="Folder of this computer's keys.")]
+Serves = Annotated[
+    Path | None,
+    typer.Option("--serves", help="File that names the process of the one mission it is for; it ends 10 min after it."),
+]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The mission's run folder.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder that run folders are made in.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Override a setting: settings.room.max_scans=8")]
@@ -299,13 +303,14 @@ def agent_scanner(
     speed: float = 1.0,
     scenario: Path | None = None,
     keys: Keys = None,
+    serves: Serves = None,
 ) -> None:
     """The simulated scanner's agent."""
     from drivers.simulated.agents import run_scanner_agent
     from drivers.wire.endpoints import Endpoints
 
     with _refusals():
-        run_scanner_agent(world, truth, plant, Endpoints(control, bulk), profile, seed, speed, scenario, keys)
+        run_scanner_agent(world, truth, plant, Endpoints(control, bulk), profile, seed, speed, scenario, keys, serves)
 
 
 @agent.command("base")
@@ -319,13 +324,15 @@ def agent_base(
     speed: float = 1.0,
     scenario: Path | None = None,
     keys: Keys = None,
+    serves: Serves = None,
 ) -> None:
     """The simulated base's agent."""
     from drivers.simulated.agents import run_base_agent
     from drivers.wire.endpoints import Endpoints
 
     with _refusals():
-        run_base_agent(world, truth, plant, Endpoints(control, telemetry=telemetry), seed, speed, scenario, keys)
+        listens = Endpoints(control, telemetry=telemetry)
+        run_base_agent(world, truth, plant, listens, seed, speed, scenario, keys, serves)
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mission.bulletin import Display
-from mission.config import load_config
+from mission.config import SiteConfig, load_config
 from mission.finish import finish
 from mission.fsck import check
 from mission.run import Summary, run_mission
@@ -18,6 +18,7 @@ from perception.failure import FailureError
 
 _FINISHED = ("complete", "incomplete")
 _PATIENCE_S = 10.0
+_AGENTS = 2
 
 
 def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool = False) -> Summary:
@@ -39,8 +40,8 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
     outcome = _outcome(folder)
     if outcome in _FINISHED:
         raise FailureError("MISSION_ENDED", f"{path}: this mission has ended: {outcome}")
-    with orphans_ended(folder):
-        summary = run_mission(load_config(folder.config), folder, display, go_on_at_once)
+    with agents_met(folder) as config:
+        summary = run_mission(config, folder, display, go_on_at_once)
     if folder.simulation.exists():
         from mission.evaluation import evaluate_run
 
@@ -57,20 +58,57 @@ def _outcome(folder: RunFolder) -> str | None:
 
 
 @contextmanager
+def agents_met(folder: RunFolder) -> Iterator[SiteConfig]:
+    """The mission's configuration, with its agents up.
+
+    Those of a rehearsal outlive an executive that was killed, for a while, and end with the mission that takes them up.
+    Where one of them is gone, both are started anew: the simulated robot stands where it stood.
+    """
+    config = load_config(folder.config)
+    if not folder.rehearsal.exists():
+        yield config
+    elif len(_agents_left(folder)) == _AGENTS:
+        with orphans_ended(folder):
+            yield config
+    else:
+        from mission.rehearsal import agents, plan_of
+
+        with orphans_ended(folder):
+            """One of them is of no use without the other."""
+        with agents(plan_of(folder), folder) as (scanner, base):
+            yield config.model_copy(update={"scanner": scanner, "base": base})
+
+
+@contextmanager
 def orphans_ended(folder: RunFolder) -> Iterator[None]:
-    """A rehearsal's agents outlive an executive that was killed; they end with the mission that takes them up."""
+    """End the agents that a rehearsal left behind, on the way out."""
     try:
         yield
     finally:
-        with suppress(OSError, ValueError):
-            for pid in json.loads(folder.agents.read_text(encoding="utf-8")):
-                _end(int(pid), str(folder.simulation.resolve()))
+        for pid in _agents_left(folder):
+            _end(pid, _mark(folder))
+
+
+def _agents_left(folder: RunFolder) -> list[int]:
+    with suppress(OSError, ValueError):
+        pids = map(int, json.loads(folder.agents.read_text(encoding="utf-8")))
+        return [pid for pid in pids if _is_agent(pid, _mark(folder))]
+    return []
+
+
+def _mark(folder: RunFolder) -> str:
+    return str(folder.simulation.resolve())
+
+
+def _is_agent(pid: int, marked: str) -> bool:
+    """Whether a process is still the agent whose command line names this rehearsal."""
+    with suppress(OSError):
+        return marked in Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace")
+    return False
 
 
 def _end(pid: int, marked: str) -> None:
-    """End a process, if it is still the agent whose command line names this rehearsal."""
-    command = Path(f"/proc/{pid}/cmdline")
     until = time.monotonic() + _PATIENCE_S
-    while command.exists() and marked in command.read_text(encoding="utf-8", errors="replace"):
+    while _is_agent(pid, marked):
         os.kill(pid, signal.SIGTERM if time.monotonic() < until else signal.SIGKILL)
         time.sleep(0.2)

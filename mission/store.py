@@ -75,6 +75,11 @@ class RunFolder:
         return self.simulation / "rehearsal.json"
 
     @property
+    def world(self) -> Path:
+        """The building that was simulated."""
+        return self.simulation / "world.npz"
+
+    @property
     def agents(self) -> Path:
         """The process ids of a rehearsal's agents."""
         return self.simulation / "agents.json"

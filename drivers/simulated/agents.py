@@ -12,6 +12,7 @@ from drivers.agent import serve_base, serve_scanner
 from drivers.interfaces import DriveGoal
 from drivers.simulated.base import SimulatedBase
 from drivers.simulated.clock import ScaledClock
+from drivers.simulated.desertion import deserted
 from drivers.simulated.profile import SCANNERS
 from drivers.simulated.scanner import SimulatedScanner
 from drivers.simulated.scanner_device import SimulatedScannerDevice
@@ -36,6 +37,7 @@ def run_scanner_agent(
     speed: float = 1.0,
     scenario: Path | None = None,
     keys: Path | None = None,
+    serves: Path | None = None,
 ) -> None:
     """Serve a simulated scanner in a world until SIGTERM.
 
@@ -44,6 +46,8 @@ def run_scanner_agent(
         truth: folder of the truth log and of the scanner's spool.
         plant: side channel of the simulated base, on which the scanner stands.
         keys: folder of the keys that may come in; without one only this machine can.
+        serves: file that names the process of the one mission it is there for; without such a process it ends after a
+            while by itself (:mod:`drivers.simulated.desertion`).
 
     Raises:
         FailureError: ``PROFILE_UNKNOWN``, or as :func:`drivers.agent.serve_scanner`.
@@ -57,7 +61,7 @@ def run_scanner_agent(
         _scenario(scenario).scanner,
         TruthLog(truth),
     )
-    serve_scanner(device, endpoints, truth / "spool", lambda bound: announce(bound), keyring=_keyring(keys))
+    serve_scanner(device, endpoints, truth / "spool", lambda bound: announce(bound), _end_of(serves), _keyring(keys))
 
 
 def run_base_agent(
@@ -69,6 +73,7 @@ def run_base_agent(
     speed: float = 1.0,
     scenario: Path | None = None,
     keys: Path | None = None,
+    serves: Path | None = None,
 ) -> None:
     """Serve a simulated base in a world until SIGTERM; see :func:`run_scanner_agent`.
 
@@ -84,7 +89,9 @@ def run_base_agent(
     motion = threading.Thread(target=base.run, args=(ScaledClock(speed), ended.is_set), name="motion", daemon=True)
     motion.start()
     try:
-        serve_base(base, endpoints, lambda bound: announce(bound, plant=channel.endpoint), keyring=_keyring(keys))
+        serve_base(
+            base, endpoints, lambda bound: announce(bound, plant=channel.endpoint), _end_of(serves), _keyring(keys)
+        )
     finally:
         ended.set()
         motion.join()
@@ -110,6 +117,10 @@ def announce(bound: Endpoints, **more: str) -> None:
     told = {"control": bound.control, "bulk": bound.bulk, "telemetry": bound.telemetry, **more}
     sys.stdout.write(json.dumps(told) + "\n")
     sys.stdout.flush()
+
+
+def _end_of(served: Path | None) -> threading.Event:
+    return deserted(served) if served else threading.Event()
 
 
 def _keyring(folder: Path | None) -> Keyring | None:

@@ -1,0 +1,40 @@
+"""The end of agents that a mission started for itself, and left behind: nobody else will ever end them."""
+
+import json
+import os
+import threading
+import time
+from pathlib import Path
+
+GRACE_S = 600.0
+"""How long agents wait for somebody who takes their mission up, seconds of the wall."""
+_GLANCE_S = 1.0
+
+
+def deserted(served: Path, grace: float = GRACE_S) -> threading.Event:
+    """An event that is set when nobody has run the mission for so long.
+
+    Args:
+        served: a JSON file in which whoever runs it names his ``pid``; another may take his place.
+        grace: seconds without such a process, the time before the first one too.
+    """
+    over = threading.Event()
+
+    def watch() -> None:
+        seen = time.monotonic()
+        while time.monotonic() - seen < grace:
+            time.sleep(min(_GLANCE_S, grace / 4))
+            if _is_served(served):
+                seen = time.monotonic()
+        over.set()
+
+    threading.Thread(target=watch, name="desertion", daemon=True).start()
+    return over
+
+
+def _is_served(served: Path) -> bool:
+    try:
+        os.kill(int(json.loads(served.read_text(encoding="utf-8"))["pid"]), 0)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    return True

@@ -6,7 +6,6 @@ and what it is told holds no truth.
 """
 
 import logging
-import threading
 import time
 from collections.abc import Callable
 
@@ -15,6 +14,7 @@ import zmq
 
 from drivers.simulated.bodies import Body
 from drivers.simulated.plant import Stance
+from drivers.wire.attended import AttendedSocket
 from drivers.wire.sockets import Sockets
 from perception import transforms
 from perception.failure import FailureError
@@ -45,27 +45,22 @@ class StanceServer:
 
     def __init__(self, stance: Callable[[], Stance], endpoint: str = "tcp://127.0.0.1:*") -> None:
         self._stance = stance
-        self._socket, self.endpoint = Sockets().router(endpoint)
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="stance", daemon=True)
-        self._thread.start()
+        socket, self.endpoint = Sockets().router(endpoint)
+        self._attended = AttendedSocket(socket, self._serve, "stance")
 
     def close(self) -> None:
         """Stop answering. Harmless when closed."""
-        self._closing.set()
-        self._thread.join()
+        self._attended.close()
 
-    def _run(self) -> None:
-        with self._socket as socket:
-            while not self._closing.is_set():
-                if not socket.poll(_POLL_MS):
-                    continue
-                *route, frame = socket.recv_multipart()
-                try:
-                    question = msgspec.msgpack.decode(frame, type=int)
-                    socket.send_multipart([*route, msgspec.msgpack.encode(self._tell(question))], zmq.NOBLOCK)
-                except (ValueError, RecursionError, zmq.ZMQError) as error:  # what msgspec raises are ValueErrors
-                    log.debug("a question for the stance was not answered: %s", error)
+    def _serve(self, socket: zmq.Socket) -> None:
+        if not socket.poll(_POLL_MS):
+            return
+        *route, frame = socket.recv_multipart()
+        try:
+            question = msgspec.msgpack.decode(frame, type=int)
+            socket.send_multipart([*route, msgspec.msgpack.encode(self._tell(question))], zmq.NOBLOCK)
+        except (ValueError, RecursionError, zmq.ZMQError) as error:  # what msgspec raises are ValueErrors
+            log.debug("a question for the stance was not answered: %s", error)
 
     def _tell(self, question: int) -> _Told:
         stance = self._stance()

@@ -1,7 +1,6 @@
 """The agent's side of a conversation: answers requests, obeys each command once and only while it is fresh."""
 
 import logging
-import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -10,6 +9,7 @@ from typing import Any
 import zmq
 
 from drivers.messages import PROTOCOL, Body, Command, Problem, Reply, Request, Stale
+from drivers.wire.attended import AttendedSocket
 from drivers.wire.codec import Codec, UndecodableError, encode
 from drivers.wire.rates import Rates
 from drivers.wire.roles import Gate
@@ -51,33 +51,27 @@ class Server:
     ) -> None:
         if gate is None and socket.getsockopt(zmq.MECHANISM) != zmq.NULL:
             raise ValueError("whoever must prove who he is must be asked what he may do: a gate is missing")
-        self._socket = socket
         self._codec: Codec[Request[Any]] = Codec(Request[requests])
         self._handle = handle
         self._boot = boot
         self._gate = gate
         self._rates = Rates(rate)
         self._replies: OrderedDict[tuple[str | None, str], Body] = OrderedDict()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
+        self._attended = AttendedSocket(socket, self._serve, name)
 
     def close(self) -> None:
         """Stop answering and close the socket. Harmless when closed."""
-        self._closing.set()
-        self._thread.join()
+        self._attended.close()
 
-    def _run(self) -> None:
-        with self._socket as socket:
-            while not self._closing.is_set():
-                if not socket.poll(POLL_MS):
-                    continue
-                *route, frame = _receive(socket)
-                if not route or frame.more:
-                    continue
-                key = _proven_key(frame) if self._gate else None
-                if self._rates.admits(key or route[0].bytes):
-                    self._send(socket, [part.bytes for part in route], self._answer(frame.bytes, key))
+    def _serve(self, socket: zmq.Socket) -> None:
+        if not socket.poll(POLL_MS):
+            return
+        *route, frame = _receive(socket)
+        if not route or frame.more:
+            return
+        key = _proven_key(frame) if self._gate else None
+        if self._rates.admits(key or route[0].bytes):
+            self._send(socket, [part.bytes for part in route], self._answer(frame.bytes, key))
 
     def _send(self, socket: zmq.Socket, route: list[bytes], reply: bytes) -> None:
         try:

@@ -1,7 +1,6 @@
 """The base's state by PUB/SUB: nobody asks, nothing queues, the newest wins."""
 
 import logging
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +11,7 @@ from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseState
 from drivers.lease import LeaseKeeper
 from drivers.messages import PROTOCOL, Pose, Telemetry
+from drivers.wire.attended import AttendedSocket
 from drivers.wire.codec import Codec, UndecodableError, encode
 
 log = logging.getLogger(__name__)
@@ -36,30 +36,25 @@ class Publisher:
         keeper: LeaseKeeper,
         period: float = PERIOD_S,
     ) -> None:
-        self._socket = socket
         self._sample = sample
         self._boot = boot
         self._keeper = keeper
         self._period = period
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
-        self._thread.start()
+        self._sequence = 0
+        self._attended = AttendedSocket(socket, self._publish, "telemetry")
 
     def close(self) -> None:
         """Stop publishing and close the socket. Harmless when closed."""
-        self._closing.set()
-        self._thread.join()
+        self._attended.close()
 
-    def _run(self) -> None:
-        sequence = 0
-        with self._socket as socket:
-            while not self._closing.wait(self._period):
-                sequence += 1
-                try:
-                    socket.send(encode(self._message(sequence)), zmq.NOBLOCK)
-                except Exception:
-                    # A silence is what the other side notices; a dead publisher would never speak again.
-                    log.exception("no telemetry this time")
+    def _publish(self, socket: zmq.Socket) -> None:
+        time.sleep(self._period)
+        self._sequence += 1
+        try:
+            socket.send(encode(self._message(self._sequence)), zmq.NOBLOCK)
+        except Exception:
+            # A silence is what the other side notices; a dead publisher would never speak again.
+            log.exception("no telemetry this time")
 
     def _message(self, sequence: int) -> Telemetry:
         at, now = time.monotonic(), self._sample()
@@ -83,16 +78,13 @@ class Listener:
     """Keeps the newest telemetry, received in a thread of its own; owns the connected SUB."""
 
     def __init__(self, socket: zmq.Socket) -> None:
-        self._socket = socket
         self._boot, self._sequence = "", -1
         self._heard: tuple[str, float] = "", 0.0
         self._gone: set[str] = set()
         self._newest: tuple[BaseState, float] | None = None
         self.nonce: int | None = None
         """Of the newest telemetry; None before the first."""
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
-        self._thread.start()
+        self._attended = AttendedSocket(socket, self._listen, "telemetry")
 
     def state(self) -> BaseState | None:
         """The newest state with its age by this side's monotonic clock; None before the first."""
@@ -109,14 +101,11 @@ class Listener:
 
     def close(self) -> None:
         """Stop listening and close the socket. Harmless when closed."""
-        self._closing.set()
-        self._thread.join()
+        self._attended.close()
 
-    def _run(self) -> None:
-        with self._socket as socket:
-            while not self._closing.is_set():
-                if socket.poll(_POLL_MS):
-                    self._accept(socket.recv())
+    def _listen(self, socket: zmq.Socket) -> None:
+        if socket.poll(_POLL_MS):
+            self._accept(socket.recv())
 
     def _accept(self, frame: bytes) -> None:
         try:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.agent import scanner_agent
-from drivers.messages import AnyReply, Chunk, Reply
+from drivers.messages import AnyReply, Chunk, Manifest, Reply
 from drivers.wire.codec import Codec, encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.hashing import GrowingHash
@@ -162,6 +162,25 @@ def test_what_is_there_already_is_not_fetched(endpoints, taken, tmp_path):
     destination.write_bytes((spool / "S01.scan").read_bytes())
     nobody = Endpoints(endpoints.control, "tcp://127.0.0.1:1")
     assert value_of(ScannerClient(nobody, QUICK).fetch(receipt, destination)) == destination
+
+
+def test_chunks_that_are_right_one_by_one_but_no_scan_together_are_not_taken_for_one(endpoints, taken, tmp_path):
+    _, receipt, spool = taken
+    other = b"x" + (spool / "S01.scan").read_bytes()[1 : 1 << 20]
+
+    def forge(number: int, frame: bytes) -> list[bytes]:
+        reply = replies.decode(frame)
+        body = reply.body
+        if isinstance(body, Manifest):
+            body = Manifest(body.size, body.sha256, body.chunk, [hashlib.sha256(other).digest(), *body.digests[1:]])
+        elif isinstance(body, Chunk) and body.index == 0:
+            body = Chunk(0, other)
+        return [encode(Reply(reply.version, reply.request_id, body, reply.boot, reply.clock))]
+
+    with Proxy(endpoints.bulk, to_client=forge) as proxy:
+        failure = failure_of(fetch_through(proxy, endpoints, receipt, tmp_path / "S01.scan"))
+    assert (failure.code, "its hash is wrong" in failure.message) == ("XFER_BROKEN", True)
+    assert not list(tmp_path.glob("S01*"))
 
 
 def test_another_scan_of_the_same_name_is_not_taken_for_it(endpoints, taken, tmp_path):

@@ -1,5 +1,6 @@
 """The transfer of a scan: whole and verified or not at all, resumed where it was cut."""
 
+import errno
 import hashlib
 import os
 import threading
@@ -214,3 +215,25 @@ def test_the_growing_hash_is_that_of_the_file_however_it_grows(tmp_path):
         assert growing.hexdigest(len(data)) == hashlib.sha256(data).hexdigest()
     with path.open("rb") as file, GrowingHash(file.fileno()) as growing, pytest.raises(EOFError):
         growing.hexdigest(len(data) + 1)
+
+
+@pytest.mark.parametrize(("number", "code"), [(errno.ENOSPC, "DISK_FULL"), (errno.EIO, "XFER_WRITE_FAILED")])
+def test_what_the_disk_did_not_take_is_not_believed_by_the_next_attempt(
+    endpoints, taken, tmp_path, monkeypatch, number, code
+):
+    """A page that could not be written may still be read; only a new file is one that the disk has seen."""
+    _, receipt, _ = taken
+    fsync = os.fsync
+    refused = []
+
+    def refuses(handle: int) -> None:
+        if not refused and os.readlink(f"/proc/self/fd/{handle}").endswith("home.scan.part"):  # noqa: PTH115
+            refused.append(handle)
+            raise OSError(number, os.strerror(number))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", refuses)
+    client = ScannerClient(endpoints, QUICK)
+    assert failure_of(client.fetch(receipt, tmp_path / "home.scan")).code == code
+    assert list(tmp_path.glob("home*")) == []
+    assert sha256(value_of(client.fetch(receipt, tmp_path / "home.scan"))) == receipt.sha256

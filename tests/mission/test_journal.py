@@ -1,6 +1,8 @@
 """The event log: one JSON object a line, in order, readable at any time."""
 
+import errno
 import json
+import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +13,7 @@ import pytest
 
 from drivers.simulated.clock import VirtualClock
 from mission.journal import JsonLines, plain, read_events
+from perception.failure import FailureError
 
 
 @pytest.fixture
@@ -113,3 +116,37 @@ def test_plain_takes_what_json_takes_not() -> None:
     assert json.dumps({"a": (1, 2)}, default=plain) == '{"a": [1, 2]}'
     with pytest.raises(TypeError):
         plain(object())
+
+
+def test_half_a_line_that_a_full_disk_took_is_taken_back_and_written_whole_later(
+    path: Path, journal: JsonLines, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, full = os.write, [False]
+
+    def writes(handle: int, data: memoryview) -> int:
+        if full[0] and len(data) < 20:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(handle, data[:-10] if full[0] else data)
+
+    monkeypatch.setattr(os, "write", writes)
+    journal.record("before")
+    full[0] = True
+    journal.record("during", filling="x" * 100)
+    assert [event["kind"] for event in read_events(path)] == ["before"]
+    assert path.read_bytes().endswith(b"\n")
+    full[0] = False
+    journal.record("after")
+    assert [event["kind"] for event in read_events(path)] == ["before", "during", "after"]
+
+
+def test_a_line_that_a_power_cut_broke_off_does_not_swallow_the_next(path: Path) -> None:
+    path.write_text('{"t": 0.0, "kind": "whole"}\n{"t": 1.0, "kind": "cut o')
+    journal = JsonLines(path, VirtualClock())
+    journal.record("next")
+    journal.close()
+    assert [event["kind"] for event in read_events(path)] == ["whole", "next"]
+
+
+def test_a_log_that_cannot_be_opened_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(FailureError, match="IO_ERROR"):
+        JsonLines(tmp_path / "nowhere" / "events.jsonl", VirtualClock())

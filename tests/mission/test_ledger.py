@@ -5,6 +5,7 @@ import os
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -174,3 +175,68 @@ def test_nobody_acts_whom_a_full_disk_keeps_from_writing_it_down(path: Path) -> 
     assert job.poll() == Done("scan")
     assert acts == ["act"]
     assert [row.how for row in ledger.jobs()] == ["done"]
+
+
+def test_a_ledger_that_the_disk_refused_once_is_not_written_to_any_more(path: Path) -> None:
+    """Nobody knows what the disk has of it; a row that came after a lost one would tell another mission."""
+    ledger = Ledger(path)
+    ledger._db.execute("PRAGMA query_only = ON")
+    with pytest.raises(FailureError, match="IO_ERROR"):
+        ledger.begin("take", "S01", "null", 0.0)
+    ledger._db.execute("PRAGMA query_only = OFF")
+    with pytest.raises(FailureError, match="IO_ERROR"):
+        ledger.begin("take", "S02", "null", 0.0)
+    assert ledger.jobs() == []
+
+
+def test_what_was_given_up_on_a_full_disk_is_written_before_anything_else(path: Path) -> None:
+    ledger = Ledger(path)
+    chronicle = Chronicle(ledger, VirtualClock())
+    job = chronicle.begin("drive", "G001", HandJob)
+    full = pytest.MonkeyPatch()
+    full.setattr(ledger, "end", lambda *_: (_ for _ in ()).throw(FailureError("DISK_FULL", "full")))
+    job.cancel()
+    assert ledger.jobs()[0].how is None
+    full.undo()
+    chronicle.begin("drive", "G002", HandJob)
+    assert [(row.name, row.how) for row in ledger.jobs()] == [("G001", "cancelled"), ("G002", None)]
+
+
+class Broken(HandJob):
+    """Raises when it is asked."""
+
+    def poll(self) -> Outcome[object]:
+        raise RuntimeError("the driver broke")
+
+
+def raises() -> HandJob:
+    raise RuntimeError("it could not be begun")
+
+
+def of_no_known_kind() -> HandJob:
+    job = HandJob()
+    job.done(object())
+    return job
+
+
+@pytest.mark.parametrize("start", [Broken, raises, of_no_known_kind])
+def test_a_driver_that_breaks_has_failed_now_and_when_it_is_told_again(
+    path: Path, start: Callable[[], HandJob]
+) -> None:
+    ledger = Ledger(path)
+    outcome = Chronicle(ledger, VirtualClock()).begin("fetch", "S01", start).poll()
+    ledger.close()
+    assert isinstance(outcome, Failed)
+    assert outcome.failure.code == "DRIVER_EXCEPTION"
+    (row,) = Ledger(path).jobs()
+    assert row.how == "failed"
+
+
+@pytest.mark.parametrize("words", ["disk I/O error", "database or disk is full"])
+def test_a_ledger_that_could_not_be_opened_keeps_nobody_out(path: Path, words: str) -> None:
+    codes = {"disk I/O error": "IO_ERROR", "database or disk is full": "DISK_FULL"}
+    with pytest.MonkeyPatch().context() as patch, pytest.raises(FailureError, match=codes[words]) as refused:
+        patch.setattr(Ledger, "_open", lambda self: (_ for _ in ()).throw(sqlite3.OperationalError(words)))
+        Ledger(path)
+    assert refused.value.failure.evidence["path"] == str(path)
+    Ledger(path).close()

@@ -4,10 +4,13 @@ import random
 from dataclasses import dataclass
 from unittest.mock import patch
 
+from behaviours.settings import BatterySettings, ScanningSettings, Settings
 from tests.scenarios.faults import EVENTS, FOR_GOOD, OPERATIONS, Event, befall, ways_of
 from tests.scenarios.play import Play
 from tests.scenarios.site import Site, row, star, twice_joined
 
+SETTINGS = Settings(ScanningSettings(room_s=900.0), battery=BatterySettings(charging_s=1800.0))
+"""Holds that are waited for as long as it takes to tell that they end, and not for hours."""
 _MOST_TICKS = 20_000
 _OVER_BY_ITSELF = ("person", "pause")
 """Neither stands in the way for ever: the one goes on, the other is the operator's own."""
@@ -42,7 +45,7 @@ def by_chance(seed: int) -> Ordeal:
         AssertionError: where a promise was broken; see :mod:`tests.scenarios.monitor`.
     """
     chance = random.Random(seed)
-    play = Play(_site(chance), attended=chance.random() < 0.5, most_ticks=_MOST_TICKS)
+    play = Play(_site(chance), settings=SETTINGS, attended=chance.random() < 0.5, most_ticks=_MOST_TICKS)
     play.perception.seen = list(chance.choice(_FINISHED_AFTER))
     faults, events = [], []
     for _ in range(chance.randint(1, 5)):
@@ -67,7 +70,7 @@ def by_chance(seed: int) -> Ordeal:
 
 def held(operation: str, way: str, attended: bool = False) -> Ordeal:
     """Two rooms, one operation that goes wrong from its first call on, for good, and nobody who answers a question."""
-    play = Play(row(2), attended=attended, most_ticks=_MOST_TICKS)
+    play = Play(row(2), settings=SETTINGS, attended=attended, most_ticks=_MOST_TICKS)
     befall(play, operation, way, 1, FOR_GOOD, random.Random(operation + way))
     if operation == "register_globally":
         play.script.fail("register_scan", "REG_LOW_OVERLAP", range(1, 5000))
@@ -76,7 +79,7 @@ def held(operation: str, way: str, attended: bool = False) -> Ordeal:
 
 def lasting(name: str, tick: int = 20) -> Ordeal:
     """Two rooms, and something around the robot that is never over, with nobody who answers a question."""
-    play = Play(row(2), attended=True, most_ticks=_MOST_TICKS)
+    play = Play(row(2), settings=SETTINGS, attended=True, most_ticks=_MOST_TICKS)
     event = Event(name, *EVENTS[name](play, random.Random(name)), tick, FOR_GOOD)
     play.each_tick = event.at
     return _fly(play, [f"{name} from tick {tick}"])

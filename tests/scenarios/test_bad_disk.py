@@ -20,7 +20,7 @@ from perception.failure import FailureError
 from tests.scenarios.bad_disk import BadDisk, Way
 from tests.scenarios.kept import Kept, survive
 
-SAMPLES = 7
+SAMPLES = 4
 
 
 @cache

@@ -5,13 +5,11 @@ All ways of all operations in one table: ``python -m benchmarks.faults --held``.
 
 import pytest
 
-from behaviours.settings import Settings
 from tests.scenarios.faults import EVENTS, OPERATIONS, PERCEPTION
-from tests.scenarios.ordeal import held, lasting
+from tests.scenarios.ordeal import SETTINGS, held, lasting
 from tests.scenarios.play import TICK_S
 from tests.scenarios.scripted import WORKER_S
 
-SETTINGS = Settings()
 WORK_S = 3600.0
 """What two rooms take, with every attempt that the ladder has, where nothing takes longer than it should."""
 PATIENCE_S = SETTINGS.operator.patience_s
@@ -27,8 +25,8 @@ LIMITS_S = {
     "disk nearly full": SETTINGS.scanning.room_s,
 }
 """How long each may last by itself: the deadline of an operation, with its attempts, or of a hold."""
-HELD_WAYS = ["stuck", "off", "garbage", "reboot"]
-"""A nobody, a silence, nonsense and an amnesia; the values that are merely wrong are in the table."""
+HELD_WAYS = ["stuck", "garbage"]
+"""No end and nonsense; silence, and values that are merely wrong, are in the table."""
 LASTING = [name for name in EVENTS if name not in ("person", "pause")]
 """People go on by themselves, and a pause is the operator's own."""
 

@@ -1,6 +1,7 @@
 """Missions with faults drawn from a seed: whatever befalls them, they end as they should. At length: make campaign."""
 
 import random
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,14 @@ SEEDS = range(25)
 REPORT = DriveReport("G1", np.eye(4), ((0.0, 1.0, 2.0), (3.0, 4.0, 5.0)), 3.0)
 
 
+@cache
+def quiet(rooms: int) -> Play:
+    """A mission that nothing befell."""
+    play = Play(row(rooms))
+    play.run()
+    return play
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_mission_with_faults_by_chance_keeps_every_promise(seed: int) -> None:
     """One seed again: ``python -m benchmarks.faults --seed SEED``."""
@@ -23,35 +32,31 @@ def test_a_mission_with_faults_by_chance_keeps_every_promise(seed: int) -> None:
 
 
 def test_a_seed_is_one_mission_for_ever() -> None:
-    assert by_chance(3) == by_chance(3)
+    assert by_chance(5) == by_chance(5)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_wall_clock_that_jumps_changes_nothing(seed: int) -> None:
-    quiet, stepped = Play(row(2)), Play(row(2))
-    quiet.run()
-    with_wall_clock_steps(stepped, seed)
-    assert stepped.events == quiet.events
+    stepped = with_wall_clock_steps(Play(row(2)), seed)
+    assert stepped.events == quiet(2).events
 
 
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_each_way_does_what_its_name_says(way: str) -> None:
     """A fault that does not bite proves nothing: each of them is felt by a mission of one room."""
-    play, quiet = Play(row(1)), Play(row(1))
+    play = Play(row(1))
     befall(play, "take", way, 1, 2, random.Random(0))
-    quiet.run()
     play.run()
-    assert (play.events.codes, play.clock.now()) != (quiet.events.codes, quiet.clock.now())
+    assert (play.events.codes, play.clock.now()) != (quiet(1).events.codes, quiet(1).clock.now())
 
 
 @pytest.mark.parametrize("name", sorted(set(EVENTS) - {"person", "cart", "slip"}))
 def test_each_event_is_felt(name: str) -> None:
-    play, quiet = Play(row(2)), Play(row(2))
+    play = Play(row(2))
     chance = random.Random(0)
     play.each_tick = Event(name, *EVENTS[name](play, chance), 5, 40).at
-    quiet.run()
     play.run()
-    assert (play.phases, play.doors, play.ticks) != (quiet.phases, quiet.doors, quiet.ticks)
+    assert (play.phases, play.ticks) != (quiet(2).phases, quiet(2).ticks)
 
 
 def test_a_slip_is_found_out_by_registration() -> None:

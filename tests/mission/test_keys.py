@@ -10,7 +10,8 @@ from drivers.agent import base_agent, scanner_agent
 from drivers.wire.base_client import BaseClient
 from drivers.wire.keys import Keyring
 from drivers.wire.roles import Role
-from mission.cli import USAGE, app
+from mission.cli import app
+from mission.commands.common import USAGE
 from mission.config import ConfigError, dump_config, load_config, parse_config
 from mission.doctor import examine
 from mission.keys import sockets_to

@@ -72,8 +72,8 @@ def noticed(tree: Path, tests: Iterable[str]) -> str:
         return f"no end within {PATIENCE_S:.0f} s"
     if told.returncode == 0:
         return ""
-    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", told.stdout, re.MULTILINE)
-    if failed is None or "::" not in failed[1]:  # what cannot even be loaded says nothing of the guard
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+\.py::.+?)(?: - .*)?$", told.stdout, re.MULTILINE)
+    if failed is None:  # what cannot even be loaded says nothing of the guard
         raise SystemExit(f"{' '.join(command)} says neither yes nor no:\n{told.stdout[-2000:]}{told.stderr[-2000:]}")
     return failed[1]
 

@@ -1,6 +1,7 @@
 """The messages: values survive the trip, and only well-formed ones make it."""
 
 import random
+import tracemalloc
 import zlib
 
 import msgspec
@@ -15,6 +16,7 @@ from drivers.messages import (
     PROTOCOL,
     AnyReply,
     BaseRequest,
+    Chunk,
     Drive,
     DriveDone,
     Goal,
@@ -81,8 +83,13 @@ def test_a_goal_survives_the_trip_and_its_map_is_small():
 
 def test_a_map_never_inflates_beyond_its_announced_size():
     bomb = RobotMap("M", 10, 10, (0.0, 0.0), 0.05, zlib.compress(bytes(50_000_000)))
-    with pytest.raises(FailureError, match="BAD_MESSAGE"):
-        bomb.grid()
+    tracemalloc.start()
+    try:
+        with pytest.raises(FailureError, match="BAD_MESSAGE"):
+            bomb.grid()
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("cells", [b"", b"no deflate", zlib.compress(bytes(99)), zlib.compress(b"\7" * 100)])
@@ -101,6 +108,17 @@ def test_a_message_too_large_for_the_other_side_is_not_sent():
     goal = Goal("G", RobotMap.of("M", Grid(noise, (0.0, 0.0), 0.05)), None, 0.0, 0.0, None)
     with pytest.raises(FailureError, match="MESSAGE_TOO_LARGE"):
         encode(Request(PROTOCOL, "r", Drive(goal, (1, 1), 7)))
+
+
+def test_a_frame_that_is_too_large_is_not_read_however_it_came():
+    def frame(size: int) -> bytes:
+        body = {"type": "Chunk", "index": 0, "data": bytes(size)}
+        reply = {"version": PROTOCOL, "request_id": "r", "body": body, "boot": "b", "clock": 0.0}
+        return msgspec.msgpack.encode(reply)
+
+    assert isinstance(replies.decode(frame(MAX_MESSAGE - 200)).body, Chunk)
+    with pytest.raises(UndecodableError, match=f"over {MAX_MESSAGE}"):
+        replies.decode(frame(MAX_MESSAGE))
 
 
 def test_a_drive_report_survives_the_trip():

@@ -110,19 +110,35 @@ def test_what_only_looks_like_a_door_is_not_one(wall, things, drop, gate):
     assert gate is None or gate in gates(findings)
 
 
+FURNITURE = [((1.0, 3.2, 0), (1.6, 3.8, 1.1)), ((3.8, 2.9, 0), (4.5, 3.4, 0.8)), ((2.2, 0.2, 0), (3.4, 0.7, 1.7))]
+GHOSTS = [((a[0], 2 * DEPTH - b[1], 0), (b[0], 2 * DEPTH - a[1], b[2])) for a, b in FURNITURE]
+WINDOW = 4.6, 5.6
+
+
+def thin_wall(window=()):
+    """With a hole of a door's size, and perhaps a window beside it."""
+    upright = [0, LEFT, RIGHT, *window, LENGTH]
+    parts = [box((a, DEPTH, 0), (b, DEPTH + 0.01, HEIGHT)) for a, b in zip(upright[::2], upright[1::2], strict=True)]
+    parts.append(box((LEFT, DEPTH, TOP), (RIGHT, DEPTH + 0.01, HEIGHT)))
+    if window:
+        parts += [box((window[0], DEPTH, z), (window[1], DEPTH + 0.01, z + 0.9)) for z in (0, HEIGHT - 0.9)]
+    return parts
+
+
 def test_mirror_is_not_a_door():
     """A door-sized mirror shows the room again behind the wall: the same furniture, reflected."""
-    furniture = [((1.0, 3.2, 0), (1.6, 3.8, 1.1)), ((3.8, 2.9, 0), (4.5, 3.4, 0.8)), ((2.2, 0.2, 0), (3.4, 0.7, 1.7))]
-    ghosts = [((a[0], 2 * DEPTH - b[1], 0), (b[0], 2 * DEPTH - a[1], b[2])) for a, b in furniture]
-    thin = [
-        box((0, DEPTH, 0), (LEFT, DEPTH + 0.01, HEIGHT)),
-        box((RIGHT, DEPTH, 0), (LENGTH, DEPTH + 0.01, HEIGHT)),
-        box((LEFT, DEPTH, TOP), (RIGHT, DEPTH + 0.01, HEIGHT)),
-    ]
-    solid = [box(*corners) for corners in furniture]
-    mirrored = find(thin, *solid, *(box(*corners) for corners in ghosts), far=DEPTH)
+    solid = [box(*corners) for corners in FURNITURE]
+    mirrored = find(thin_wall(), *solid, *(box(*corners) for corners in GHOSTS), far=DEPTH)
     assert not mirrored.doors and "mirror" in gates(mirrored)
-    assert find(thin, *solid, box((4.0, 6.0, 0), (5.0, 6.5, 1.2)), far=DEPTH - 0.7).doors
+    assert find(thin_wall(), *solid, box((4.0, 6.0, 0), (5.0, 6.5, 1.2)), far=DEPTH - 0.7).doors
+
+
+def test_mirror_beside_a_window_is_not_a_door():
+    """What the window shows behind the wall is no reflection, and says nothing of the mirror."""
+    things = [box(*corners) for corners in (*FURNITURE, *GHOSTS)]
+    outside = box((4.5, DEPTH + 1.0, 0), (LENGTH, DEPTH + 1.1, HEIGHT))
+    mirrored = find(thin_wall(WINDOW), *things, outside, far=DEPTH)
+    assert not mirrored.doors and "mirror" in gates(mirrored)
 
 
 def test_pane_in_the_doorway_is_suspected():

@@ -18,12 +18,15 @@ lint: setup
 test: lint
 	.venv/bin/pytest -n 2
 
-# The tables of the README: hours of missions; before them, those on the virtual clock with faults by chance.
+# Missions with faults by chance on the virtual clock; the tables of the README, hours of missions; then links that
+# misbehave and processes that are killed.
 campaign: setup
 	.venv/bin/python -m benchmarks.faults --missions 500
 	.venv/bin/python -m benchmarks.faults --held
 	.venv/bin/python -m benchmarks.disk
 	.venv/bin/python -m benchmarks.campaign
+	.venv/bin/python -m benchmarks.chaos --missions 50
+	.venv/bin/python -m benchmarks.kills --rounds 200
 
 # Every stage at five million points, against alternatives; two idle cores tell the truth.
 bench: setup

@@ -2,10 +2,12 @@
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as DeadlineError
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -35,14 +37,23 @@ class PerceptionWorker:
         self._run = run
         self._journal = journal
         self._deadline = deadline
-        self._pool = ProcessPool(1, initializer=_settle, context=get_context("spawn"))
+        self._pool = _new_pool()
 
     def submit(self, stage: str, /, **arguments: object) -> Job[Any]:
         return _StageJob(self, stage, arguments)
 
-    def schedule(self, stage: str, arguments: Mapping[str, object]) -> Any:
-        """A future of (value, seconds); the pool brings a new process if the last one died."""
-        return self._pool.schedule(_run_stage, args=[str(self._run), stage, dict(arguments)], timeout=self._deadline)
+    def schedule(self, stage: str, arguments: Mapping[str, object]) -> tuple[Any, ProcessPool]:
+        """A future of (value, seconds), and the pool that it will never come from if that pool breaks.
+
+        The pool brings a new process if the last one died at work. One that dies while it has none takes its pool
+        along, and gets another.
+        """
+        if not self._pool.active:
+            broken, self._pool = self._pool, _new_pool()
+            broken.stop()
+            threading.Thread(target=broken.join, daemon=True).start()
+        call = [str(self._run), stage, dict(arguments)]
+        return self._pool.schedule(_run_stage, args=call, timeout=self._deadline), self._pool
 
     def record(self, stage: str, arguments: Mapping[str, object], seconds: float, failure: Failure | None) -> None:
         ids = {key: arguments[key] for key in ("scan_id", "room_id", "cycle") if key in arguments}
@@ -64,10 +75,10 @@ class _StageJob:
         self._chances = 2
         self._outcome: Outcome[Any] | None = None
         self._began = time.monotonic()
-        self._future = worker.schedule(stage, arguments)
+        self._future, self._pool = worker.schedule(stage, arguments)
 
     def poll(self) -> Outcome[Any]:
-        if self._outcome is None and self._future.done():
+        if self._outcome is None and (self._future.done() or not self._pool.active):
             self._outcome = self._conclude()
         if self._outcome is not None:
             return self._outcome
@@ -78,14 +89,14 @@ class _StageJob:
 
     def _conclude(self) -> Outcome[Any] | None:
         try:
-            value, seconds = self._future.result()
+            value, seconds = self._result()
         except CancelledError:
             return Failed(Failure("CANCELLED", f"{self._stage} was cancelled"))
         except FailureError as error:
             return self._failed(error.failure)
         except DeadlineError:
             return self._again_or(Failure("PERC_TIMEOUT", f"{self._stage} did not end within its deadline"))
-        except (ProcessExpired, OSError) as error:
+        except (ProcessExpired, BrokenProcessPool, OSError) as error:
             return self._again_or(Failure("PERC_DIED", f"the worker died during {self._stage}: {error}"))
         except Exception as error:
             trace = getattr(error, "traceback", "")
@@ -95,6 +106,12 @@ class _StageJob:
         self._worker.record(self._stage, self._arguments, seconds, None)
         return Done(value)
 
+    def _result(self) -> tuple[Any, float]:
+        if not self._future.done():
+            raise BrokenProcessPool("before it began")
+        value, seconds = self._future.result()
+        return value, seconds
+
     def _failed(self, failure: Failure) -> Outcome[Any]:
         self._worker.record(self._stage, self._arguments, time.monotonic() - self._began, failure)
         return Failed(failure)
@@ -103,7 +120,7 @@ class _StageJob:
         self._chances -= 1
         if self._chances == 0:
             return self._failed(failure)
-        self._future = self._worker.schedule(self._stage, self._arguments)
+        self._future, self._pool = self._worker.schedule(self._stage, self._arguments)
         return None
 
 
@@ -112,6 +129,10 @@ def _settle() -> None:
     # Ctrl-C reaches every process of a terminal; whether a stage ends for it is the mission's to say.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
+
+
+def _new_pool() -> ProcessPool:
+    return ProcessPool(1, initializer=_settle, context=get_context("spawn"))
 
 
 def _run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, float]:

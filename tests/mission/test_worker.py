@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -102,6 +103,19 @@ def test_a_process_that_dies_gets_a_second_chance_and_no_third(
     assert (tmp_path / "deaths").read_text() == "xx"
     assert [event["failure"] for event in events] == [None, "PERC_DIED"]
     assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2), "the next stage has a process again"
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.5], ids=["at once", "later"])
+def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced(
+    worker: PerceptionWorker, pause: float
+) -> None:
+    for _ in range(3):
+        idle = outcome_of(worker.submit("process_id"))
+        assert isinstance(idle, Done)
+        os.kill(idle.value, signal.SIGKILL)
+        time.sleep(pause)
+        assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2)
+    assert [process.pid for process in multiprocessing.active_children() if process.pid == idle.value] == []
 
 
 def test_a_stage_that_hangs_is_killed_at_its_deadline(

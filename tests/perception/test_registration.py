@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from perception import transforms
 from perception.failure import FailureError
 from perception.global_registration import register_globally
-from perception.registration import judge, reference_from, register, surface_of
+from perception.registration import anchor, judge, reference_from, register, surface_of
 from perception.scan import BeamPattern
 from tests.synthetic import Scene, box
 
@@ -142,6 +143,14 @@ def test_correction_beyond_what_odometry_allows_is_refused(room):
     found = register(source, reference, transforms.planar(0.4, 0, 0) @ truth)
     with pytest.raises(FailureError, match="REG_INCONSISTENT"):
         judge(found, (0.02, 0.005))
+
+
+@pytest.mark.parametrize(("axis", "name"), [((0.0, 0.0, 1.0), "an upright"), ((1.0, 0.0, 0.0), "a level")])
+def test_a_scan_that_nothing_keeps_from_turning_is_refused(axis, name):
+    held = anchor(transforms.planar(0.0, 0.0, 0.0))
+    judge(held, (0.1, 0.05))
+    with pytest.raises(FailureError, match=f"REG_DEGENERATE.*turning about {name} axis"):
+        judge(replace(held, turn_hold=0.004, turn_axis=axis), (0.1, 0.05))
 
 
 def test_nan_points_are_ignored_and_too_few_are_refused(room):

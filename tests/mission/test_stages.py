@@ -132,6 +132,17 @@ def test_a_scan_that_cannot_be_where_it_is_said_to_be_is_refused(survey: Survey)
     assert refused.value.failure.code.startswith("REG_")
 
 
+def test_a_registration_is_asked_for_rivals_before_it_counts(survey: Survey, monkeypatch: pytest.MonkeyPatch) -> None:
+    def rivalled(*_: object) -> None:
+        raise FailureError("REG_AMBIGUOUS", "two poses fit alike")
+
+    monkeypatch.setattr("perception.global_registration.challenge", rivalled)
+    placed, guess = [("S01", true_pose("S01").tolist())], true_pose("S02").tolist()
+    arguments = {"scan_id": "S02", "guess": guess, "reference": placed, "error_m": 0.2, "error_rad": 0.1}
+    with pytest.raises(FailureError, match="REG_AMBIGUOUS"):
+        stages.run(Library(survey.run), "register_scan", arguments)
+
+
 def test_the_room_is_found_with_floor_ceiling_and_contour(survey: Survey) -> None:
     assert survey.shape.area == pytest.approx(6.0 * 5.0, rel=0.03)
     assert survey.shape.floor_z == pytest.approx(0.0, abs=0.02)

@@ -207,8 +207,9 @@ def _connected(path: Path) -> sqlite3.Connection:
 
 def _refusal(path: Path, error: sqlite3.DatabaseError) -> FailureError:
     """Why a ledger cannot be opened."""
-    kinds = {"locked": "LEDGER_IN_USE", "full": "DISK_FULL", "disk I/O": "IO_ERROR"}
-    code = next((code for words, code in kinds.items() if words in str(error)), "LEDGER_BAD")
+    words = str(error)
+    disk = "DISK_FULL" if "full" in words else "IO_ERROR"
+    code = disk if "full" in words or "disk I/O" in words else "LEDGER_IN_USE" if "locked" in words else "LEDGER_BAD"
     return FailureError(code, f"{path}: {error}", path=str(path))
 
 

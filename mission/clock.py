@@ -49,5 +49,5 @@ class MissionClock:
 
         A tick costs real time whatever the rate, and in a pause too. Whoever was late is not made to hurry after it.
         """
-        self._wait(max(0.0, self._woke + seconds - self._source()))
+        self._wait(max(0.0, seconds - (self._source() - self._woke)))
         self._woke = self._source()

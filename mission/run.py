@@ -37,11 +37,11 @@ class Summary:
 
     run: str
     outcome: str
-    reason: str
     rooms: list[dict[str, Any]]
     scans: int
     wall_s: float
     simulated_s: float
+    reason: str
 
 
 def run_mission(
@@ -137,11 +137,11 @@ def summarise(folder: RunFolder, state: dict[str, Any]) -> Summary:
     return Summary(
         run=str(folder.path),
         outcome=state["outcome"],
-        reason=reason_of(state),
         rooms=[_room_summary(room) for room in state["rooms"]],
         scans=len(state["scans"]),
         wall_s=state["wall_s"],
         simulated_s=state["simulated_s"],
+        reason=reason_of(state),
     )
 
 

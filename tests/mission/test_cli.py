@@ -151,7 +151,7 @@ def test_an_agent_without_a_world_is_refused(tmp_path: Path) -> None:
 
 def ending(outcome: str, reason: str = "") -> Callable[..., Summary]:
     room = {"id": "R1", "scans": 2, "reason_ended": "lambda_mu", "growing_rate": 0.01, "occluded_decrease_rate": 0.02}
-    return lambda *_: Summary("runs/x", outcome, reason, [room], 2, 61.0, 610.0)
+    return lambda *_: Summary("runs/x", outcome, [room], 2, 61.0, 610.0, reason)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,8 @@ def scan_ids(flown: Flight) -> list[str]:
 
 def test_it_ends_complete_and_says_so_in_one_object(flown: Flight) -> None:
     assert flown.code == 0, flown.stderr
-    assert list(flown.said) == ["run", "outcome", "rooms", "scans", "wall_s", "simulated_s"]
+    assert list(flown.said) == ["run", "outcome", "rooms", "scans", "wall_s", "simulated_s", "reason"]
+    assert flown.said["reason"] == ""
     assert all(list(room) == ROOM_KEYS for room in flown.said["rooms"])
     assert flown.said["outcome"] == "complete"
     assert flown.said["run"] == str(flown.folder)

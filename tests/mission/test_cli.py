@@ -161,7 +161,7 @@ def test_the_outcome_is_the_exit_code(outcome: str, code: int, monkeypatch: pyte
     monkeypatch.setattr(rehearsal, "rehearse", ending(outcome))
     result = call("simulate", "school", "--json")
     assert result.exit_code == code
-    assert list(json.loads(result.stdout)) == ["run", "outcome", "reason", "rooms", "scans", "wall_s", "simulated_s"]
+    assert list(json.loads(result.stdout)) == ["run", "outcome", "rooms", "scans", "wall_s", "simulated_s", "reason"]
     words = call("simulate", "school")
     assert words.exit_code == code
     assert f"{outcome}: 1 rooms, 2 scans in 61 s" in words.stdout

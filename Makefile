@@ -16,7 +16,7 @@ lint: setup
 	.venv/bin/lint-imports
 
 test: lint
-	.venv/bin/pytest -n 2
+	.venv/bin/pytest -n 2 --dist loadgroup
 
 # Missions with faults by chance on the virtual clock; the tables of the README, hours of missions; then links that
 # misbehave and processes that are killed.

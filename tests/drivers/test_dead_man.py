@@ -13,6 +13,9 @@ from tests.drivers.beating import PLACES, TICK_S, goal, load_map
 from tests.drivers.dead_man import FAULTS, Bench, bench, halts_by, halts_by_kill, obeyed_after_takeover
 from tests.drivers.wire_fakes import IMPATIENT, eventually, failure_of, value_of
 
+pytestmark = pytest.mark.xdist_group("dead man")
+"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+
 ROUNDS = 3
 
 

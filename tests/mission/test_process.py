@@ -18,6 +18,9 @@ from perception.grids import Cell
 from perception.scan import BeamPattern
 from tests.perception import rooms
 
+pytestmark = pytest.mark.xdist_group("processed")
+"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "scans"
 PLACES = ((2.0, 2.5, 0.2), (4.4, 1.6, -0.3))
 

@@ -18,6 +18,9 @@ from perception import transforms
 from perception.grids import Cell, Label
 from tests.missions.flights import ROOT, Flight, is_listening
 
+pytestmark = pytest.mark.xdist_group("flown")
+"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+
 ROOM_KEYS = ["id", "scans", "reason_ended", "growing_rate", "occluded_decrease_rate"]
 EVALUATION_KEYS = [
     "rooms_reachable", "rooms_finished", "scans", "collisions", "pose_error_max_m", "pose_error_max_deg",

@@ -20,7 +20,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     return fly(tmp_path_factory.mktemp("clean"))
 
 
-@pytest.mark.parametrize("seed", ["0", "1"])
+@pytest.mark.parametrize("seed", ["0"])
 def test_a_mission_over_bad_links_is_the_mission_over_good_ones(seed: str, clean: Flown, tmp_path: Path) -> None:
     """Again by hand: ``python -m benchmarks.chaos --missions 1 --seed SEED``."""
     flown = fly(tmp_path, seed, Mischief())

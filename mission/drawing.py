@@ -5,13 +5,26 @@ from pathlib import Path
 
 import py_trees
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
 from behaviours.conditions import Condition
 from behaviours.job import JobLeaf
 from behaviours.recover import Recover
 
+
+class AsAbove(Behaviour):
+    """Stands for a branch that was drawn already."""
+
+    def __init__(self, branch: Behaviour) -> None:
+        super().__init__(f"{branch.name}, as above")
+
+    def update(self) -> Status:
+        return Status.INVALID
+
+
 _KINDS = (
+    (AsAbove, "…", "#ffffff"),
     (Recover, "↻", "#e8d5f2"),
     (Sequence, "→", "#dfe7f0"),
     (Selector, "?", "#d5ecec"),
@@ -21,6 +34,32 @@ _KINDS = (
     (Behaviour, "•", "#f4f4f4"),
 )
 _ROW, _INDENT, _SIZE = 0.30, 0.32, 9
+_FOLDED = 4
+"""Nodes that a branch must have to be folded."""
+
+Shape = tuple[type, str, tuple["Shape", ...]]
+
+
+def folded(root: Behaviour) -> Behaviour:
+    """A tree that is only to be drawn, its branches that stand there again replaced by one line each."""
+    drawn: set[Shape] = set()
+
+    def fold(node: Behaviour) -> None:
+        for place, child in enumerate(node.children):
+            shape = _shape(child)
+            if shape in drawn:
+                node.children[place] = AsAbove(child)
+                continue
+            if sum(1 for _ in child.iterate()) >= _FOLDED:
+                drawn.add(shape)
+            fold(child)
+
+    fold(root)
+    return root
+
+
+def _shape(node: Behaviour) -> Shape:
+    return type(node), node.name, tuple(_shape(child) for child in node.children)
 
 
 def as_text(root: Behaviour) -> str:
@@ -54,7 +93,7 @@ def draw(root: Behaviour, path: Path) -> None:
         symbol, colour = next((symbol, colour) for kind, symbol, colour in _KINDS if isinstance(node, kind))
         box = {"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "#7b8794", "linewidth": 0.6}
         axes.text(x, y, f"{symbol}  {node.name}", va="center", ha="left", size=_SIZE, bbox=box, family="DejaVu Sans")
-    legend = "→ in order   ? first that works   ↻ recover   ◇ decorator   ¿ condition   ▶ job   • at once"
+    legend = "→ in order   ? first that works   ↻ recover   ◇ decorator   ¿ condition   ▶ job   • at once   … as above"
     axes.text(0.25, len(rows) * _ROW + 0.25, legend, size=8, color="#52606d", family="DejaVu Sans")
     figure.savefig(path, dpi=110)
 

@@ -59,12 +59,13 @@ def unpair(name: Annotated[str, typer.Argument(help="The name it was paired by."
 def tree(
     form: Annotated[str, typer.Option("--format", help="unicode, dot, svg or png.")] = "unicode",
     out: Annotated[Path | None, typer.Option(help="File for svg and png.")] = None,
+    whole: Annotated[bool, typer.Option("--whole", help="Draw every branch each time that it stands there.")] = False,
 ) -> None:
     """Draw the behaviour tree; no robot is needed."""
     from mission import drawing
     from trees.building import create_root
 
-    root = create_root()
+    root = create_root() if whole else drawing.folded(create_root())
     if form == "unicode":
         typer.echo(drawing.as_text(root))
     elif form == "dot":

@@ -40,3 +40,13 @@ def test_the_drawing_can_be_searched_for_its_names(tmp_path: Path) -> None:
     path = tmp_path / "tree.svg"
     drawing.draw(create_root(), path)
     assert "take the scan" in path.read_text()
+
+
+def test_a_branch_that_stands_there_again_is_one_line() -> None:
+    root = create_root()
+    names = {node.name for node in root.iterate()}
+    before = len(list(root.iterate()))
+    after = list(drawing.folded(root).iterate())
+    assert len(after) < before / 2
+    assert names <= {node.name for node in after}
+    assert any(isinstance(node, drawing.AsAbove) and node.name == "place, as above" for node in after)

@@ -72,9 +72,12 @@ class Opening:
     def through(self, some: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Of some of the points, all behind the wall: which were seen through the hole."""
         points, stations = self.points[some], self.stations[self.scan_of[some]]
+        seen = stations[:, 1] < 0  # not from behind the wall
+        points, stations = points[seen], stations[seen]
         share = stations[:, 1] / (stations[:, 1] - points[:, 1])
         u, _, z = (stations + share[:, None] * (points - stations)).T
-        return (stations[:, 1] < 0) & (u > self.left) & (u < self.right) & (z < self.height)
+        seen[seen] = (u > self.left) & (u < self.right) & (z < self.height)
+        return seen
 
     def within(self, low: float, high: float, left: float | None = None, right: float | None = None) -> NDArray:
         """Points of the opening's width (or another) between two heights above the floor."""

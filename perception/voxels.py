@@ -14,7 +14,8 @@ from perception.failure import FailureError
 from perception.findings import LabelCounts, RoomShape
 from perception.grids import Label, VoxelSpace
 from perception.outline.frontier import seen_and_beyond
-from perception.rays import labelling
+from perception.rays.hits import enter, solid
+from perception.rays.labelling import Seen, empty_by_range, empty_by_spheres
 from perception.scan import Scan
 from perception.transforms import Matrix, inverse
 
@@ -87,7 +88,7 @@ def label(
     """
     scanner_from_map = inverse(map_from_scanner)
     pattern, origin = scan.pattern, np.asarray(space.origin)
-    hits, ranges = labelling.enter(
+    hits, ranges = enter(
         scan.points,
         scan.beam,
         map_from_scanner,
@@ -98,12 +99,12 @@ def label(
     )
     labels = space.labels.copy()
     changing = labels != Label.OUTSIDE if within is None else within
-    labels[labelling.solid(hits, min_points) & changing] = Label.OCCUPIED
-    beams = (pattern.elevation_min, pattern.elevation_step, pattern.azimuth_step)
-    rule = labelling.empty_by_range if labeller == "range" else labelling.empty_by_spheres
+    labels[solid(hits, min_points) & changing] = Label.OCCUPIED
+    seen = Seen(scanner_from_map, ranges, pattern.elevation_min, pattern.elevation_step, pattern.azimuth_step)
+    rule = empty_by_range if labeller == "range" else empty_by_spheres
     # The rules look at occluded voxels only.
     asked = labels if within is None else np.where(within | (labels != Label.OCCLUDED), labels, np.uint8(Label.EMPTY))
-    empty = rule(asked, origin, space.size, scanner_from_map, ranges, *beams)
+    empty = rule(asked, origin, space.size, seen)
     labels.reshape(-1)[empty] = Label.EMPTY
     return VoxelSpace(labels, space.origin, space.size)
 

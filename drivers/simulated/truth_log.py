@@ -39,4 +39,4 @@ def read_truth(folder: Path) -> list[dict[str, object]]:
 def _plain(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise NotImplementedError(f"cannot write {type(value).__name__} into the truth log")
+    raise TypeError(f"cannot write {type(value).__name__} into the truth log")

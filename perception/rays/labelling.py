@@ -1,139 +1,39 @@
-"""The compiled inner loops of voxel labelling (paper section 4.1): hits, and the two rules for empty voxels.
+"""The compiled inner loops of voxel labelling (paper section 4.1): the two rules for empty voxels.
 
-Both rules take the labels ``(nx, ny, nz)`` with OCCUPIED already set and return the flat indices of OCCLUDED voxels
-that the scan shows to be empty. Ranges are ``(rows, columns)`` in metres, 0 where a beam did not return.
+Both take the labels ``(nx, ny, nz)`` with OCCUPIED already set and return the flat indices of OCCLUDED voxels that the
+scan shows to be empty.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from perception.grids import Label
-from perception.threads import SHARES
 from perception.transforms import Matrix
 
 _OCCLUDED = np.uint8(Label.OCCLUDED)
 _OCCUPIED = np.uint8(Label.OCCUPIED)
 _SAMPLE = 1.0 / 3.0
 """Beams sampled across a voxel: its centre and this share of its side to either hand (3 x 3)."""
-_BLOCK = 1024
-"""Points that are entered at a time, coordinate by coordinate."""
 _BUCKET = np.deg2rad(1.0)
 """Side of the direction buckets in which the sphere rule looks for hidden voxels, radians."""
 
-Shape3 = tuple[int, ...]
 
+class Seen(NamedTuple):
+    """What a scan saw, and from where.
 
-def enter(
-    points: NDArray[np.float32],
-    beam: NDArray[np.int32],
-    map_from_scanner: Matrix,
-    origin: NDArray[np.float64],
-    size: float,
-    shape: Shape3,
-    beams: tuple[int, int],
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Points ``(N, 3)`` of the scanner frame per voxel of the space, ``(nx, ny, nz)``, and the range of each beam.
-
-    The ranges, ``beams`` being (rows, columns), are those that :meth:`perception.scan.Scan.range_image` gives; one pass
-    over a scan makes both. It reckons in single precision: within some 1e-5 m of a voxel's face a point may be counted
-    on its other side.
+    Args:
+        ranges: ``(rows, columns)`` metres, 0 where a beam did not return; rows upwards, columns round by azimuth.
+        elevation_min, elevation_step, azimuth_step: radians.
     """
-    # A border of one voxel takes what lies outside.
-    hits = np.zeros((SHARES, *(side + 2 for side in shape)), np.int32)
-    ranges = np.zeros(beams, np.float32)
-    voxels_from_scanner = map_from_scanner[:3] / size
-    voxels_from_scanner[:, 3] += 1 - origin / size
-    _enter_all(points, beam, voxels_from_scanner.astype(np.float32), hits, ranges.reshape(-1))
-    return hits[0, 1:-1, 1:-1, 1:-1], ranges
 
-
-@njit(cache=True, parallel=True)
-def _enter_all(
-    points: NDArray[np.float32],
-    beam: NDArray[np.int32],
-    voxels_from_scanner: NDArray[np.float32],
-    hits: NDArray[np.int32],
-    ranges: NDArray[np.float32],
-) -> None:
-    for part in prange(SHARES):
-        first, last = len(points) * part // SHARES, len(points) * (part + 1) // SHARES
-        _enter(points[first:last], beam[first:last], voxels_from_scanner, hits[part], ranges)
-    for part in range(1, SHARES):
-        hits[0] += hits[part]
-
-
-@njit(cache=True)
-def _enter(
-    points: NDArray[np.float32],
-    beam: NDArray[np.int32],
-    voxels_from_scanner: NDArray[np.float32],
-    hits: NDArray[np.int32],
-    ranges: NDArray[np.float32],
-) -> None:
-    flat = hits.reshape(-1)
-    place = np.empty((3, _BLOCK), np.float32)
-    measured, voxel = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.int32)
-    current, count = 0, 0
-    for start in range(0, len(points), _BLOCK):
-        block = points[start : start + _BLOCK]
-        for n in range(len(block)):
-            place[0, n], place[1, n], place[2, n] = block[n, 0], block[n, 1], block[n, 2]
-        _locate(place, voxels_from_scanner, hits.shape, measured, voxel)
-        for n in range(len(block)):
-            ranges[beam[start + n]] = measured[n]
-            # Neighbours in a scan are neighbours in space: most of them add to a number that is at hand.
-            if voxel[n] != current:
-                flat[current] += count
-                current, count = voxel[n], 0
-            count += 1
-    flat[current] += count
-
-
-@njit(cache=True)
-def _locate(
-    place: NDArray[np.float32],
-    m: NDArray[np.float32],
-    shape: Shape3,
-    measured: NDArray[np.float32],
-    voxel: NDArray[np.int32],
-) -> None:
-    """Range and flat voxel index of places ``(3, n)``: a loop without branches, for wide instructions."""
-    layer, row = np.int32(shape[1] * shape[2]), np.int32(shape[2])
-    zero = np.float32(0)
-    last_i, last_j, last_k = np.float32(shape[0] - 1), np.float32(shape[1] - 1), np.float32(shape[2] - 1)
-    for n in range(len(voxel)):
-        x, y, z = place[0, n], place[1, n], place[2, n]
-        measured[n] = np.sqrt(x * x + y * y + z * z)
-        i = min(max(m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3], zero), last_i)
-        j = min(max(m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3], zero), last_j)
-        k = min(max(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3], zero), last_k)
-        voxel[n] = np.int32(i) * layer + np.int32(j) * row + np.int32(k)
-
-
-@njit(cache=True)
-def solid(hits: NDArray[np.int32], min_points: int) -> NDArray[np.bool_]:
-    """Voxels with at least ``min_points``, or with any point and a point in one of the 26 neighbours."""
-    nx, ny, nz = hits.shape
-    result = np.zeros(hits.shape, np.bool_)
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if hits[i, j, k] == 0:
-                    continue
-                result[i, j, k] = hits[i, j, k] >= min_points or _has_company(hits, i, j, k)
-    return result
-
-
-@njit(cache=True)
-def _has_company(hits: NDArray[np.int32], i: int, j: int, k: int) -> bool:
-    nx, ny, nz = hits.shape
-    for a in range(max(0, i - 1), min(nx, i + 2)):
-        for b in range(max(0, j - 1), min(ny, j + 2)):
-            for c in range(max(0, k - 1), min(nz, k + 2)):
-                if hits[a, b, c] > 0 and (a != i or b != j or c != k):
-                    return True
-    return False
+    scanner_from_map: Matrix
+    ranges: NDArray[np.float32]
+    elevation_min: float
+    elevation_step: float
+    azimuth_step: float
 
 
 @njit(cache=True)
@@ -157,11 +57,7 @@ def empty_by_range(
     labels: NDArray[np.uint8],
     origin: NDArray[np.float64],
     size: float,
-    scanner_from_map: Matrix,
-    ranges: NDArray[np.float32],
-    elevation_min: float,
-    elevation_step: float,
-    azimuth_step: float,
+    seen: Seen,
 ) -> NDArray[np.int64]:
     """Voxels that most of their returned beams went past; beams are sampled 3 x 3 across the voxel.
 
@@ -173,8 +69,8 @@ def empty_by_range(
     empty = np.zeros(flat.size, np.bool_)
     for index in prange(flat.size):
         if flat[index] == _OCCLUDED:
-            x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, scanner_from_map)
-            empty[index] = _seen_through(x, y, z, size, ranges, elevation_min, elevation_step, azimuth_step)
+            x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, seen.scanner_from_map)
+            empty[index] = _seen_through(x, y, z, size, seen)
     return np.flatnonzero(empty)
 
 
@@ -184,18 +80,16 @@ def _seen_through(
     y: float,
     z: float,
     size: float,
-    ranges: NDArray[np.float32],
-    elevation_min: float,
-    elevation_step: float,
-    azimuth_step: float,
+    seen: Seen,
 ) -> bool:
+    ranges = seen.ranges
     rows, columns = ranges.shape
     across = np.sqrt(x * x + y * y)
     distance = np.sqrt(across * across + z * z)
-    row = (np.arctan2(z, across) - elevation_min) / elevation_step
-    column = np.arctan2(y, x) / azimuth_step
-    row_spread = _SAMPLE * size / (max(distance, size) * elevation_step)
-    column_spread = _SAMPLE * size / (max(across, size) * azimuth_step)
+    row = (np.arctan2(z, across) - seen.elevation_min) / seen.elevation_step
+    column = np.arctan2(y, x) / seen.azimuth_step
+    row_spread = _SAMPLE * size / (max(distance, size) * seen.elevation_step)
+    column_spread = _SAMPLE * size / (max(across, size) * seen.azimuth_step)
     # The scanner's axes need not be the voxel's: the half side is the least it takes to reach the far side.
     far_side = distance + 0.5 * size
     votes, ended = 0, 0
@@ -217,11 +111,7 @@ def empty_by_spheres(
     labels: NDArray[np.uint8],
     origin: NDArray[np.float64],
     size: float,
-    scanner_from_map: Matrix,
-    ranges: NDArray[np.float32],
-    elevation_min: float,
-    elevation_step: float,
-    azimuth_step: float,
+    seen: Seen,
 ) -> NDArray[np.int64]:
     """Voxels towards which the beam returned and that no nearer occupied voxel's sphere hides: exact alpha > beta.
 
@@ -230,16 +120,14 @@ def empty_by_spheres(
     """
     _, ny, nz = labels.shape
     flat = labels.ravel()
-    tested, places, bucket = _tested_voxels(
-        labels, origin, size, scanner_from_map, ranges, elevation_min, elevation_step, azimuth_step
-    )
+    tested, places, bucket = _tested_voxels(labels, origin, size, seen)
     height, width = int(np.ceil(np.pi / _BUCKET)), int(np.ceil(2 * np.pi / _BUCKET))
     tested, places, start, farthest = _sorted_by_bucket(tested, places, bucket, height * width)
     hidden = np.zeros(len(tested), np.bool_)
     for index in range(flat.size):
         if flat[index] != _OCCUPIED:
             continue
-        x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, scanner_from_map)
+        x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, seen.scanner_from_map)
         squared = x * x + y * y + z * z
         if squared <= 0.5 * size * size:
             continue  # the scanner is inside this sphere: the robot's own body
@@ -301,14 +189,11 @@ def _tested_voxels(
     labels: NDArray[np.uint8],
     origin: NDArray[np.float64],
     size: float,
-    scanner_from_map: Matrix,
-    ranges: NDArray[np.float32],
-    elevation_min: float,
-    elevation_step: float,
-    azimuth_step: float,
+    seen: Seen,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Flat index, place (scanner frame) and direction bucket of OCCLUDED voxels towards which the beam returned."""
     _, ny, nz = labels.shape
+    ranges = seen.ranges
     rows, columns = ranges.shape
     flat = labels.ravel()
     index_of = np.empty(flat.size, np.int64)
@@ -319,10 +204,10 @@ def _tested_voxels(
     for index in range(flat.size):
         if flat[index] != _OCCLUDED:
             continue
-        x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, scanner_from_map)
+        x, y, z = _voxel_from_scanner(index, ny, nz, origin, size, seen.scanner_from_map)
         elevation, azimuth = np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)
-        row = int(np.rint((elevation - elevation_min) / elevation_step))
-        if row < 0 or row >= rows or ranges[row, int(np.rint(azimuth / azimuth_step)) % columns] <= 0:
+        row = int(np.rint((elevation - seen.elevation_min) / seen.elevation_step))
+        if row < 0 or row >= rows or ranges[row, int(np.rint(azimuth / seen.azimuth_step)) % columns] <= 0:
             continue
         index_of[count] = index
         places[count, 0], places[count, 1], places[count, 2] = x, y, z

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter
 
 from perception import transforms
-from perception.rays import labelling
+from perception.rays.hits import enter, solid
 
 SHAPE, SIZE, BEAMS = (7, 5, 6), 0.1, (50, 60)
 ORIGIN = np.array([2.0, -1.0, 0.5])
@@ -13,7 +13,7 @@ SINGLE_PRECISION = 1e-4
 
 
 def entered(points, beam, pose):
-    return labelling.enter(points, beam, pose, ORIGIN, SIZE, SHAPE, BEAMS)
+    return enter(points, beam, pose, ORIGIN, SIZE, SHAPE, BEAMS)
 
 
 @given(count=st.integers(0, 3000), seed=st.integers(0, 999), spread=st.floats(0.1, 3.0))
@@ -44,4 +44,4 @@ def test_a_voxel_is_solid_by_its_points_or_by_company(seed, density, min_points)
     around = np.ones((3, 3, 3), bool)
     around[1, 1, 1] = False
     company = maximum_filter(hits, footprint=around, mode="constant") > 0
-    assert np.array_equal(labelling.solid(hits, min_points), (hits >= min_points) | ((hits > 0) & company))
+    assert np.array_equal(solid(hits, min_points), (hits >= min_points) | ((hits > 0) & company))

@@ -12,11 +12,12 @@ from scipy.ndimage import maximum_filter1d
 from perception.failure import FailureError
 from perception.findings import Door, Polygon, RoomShape
 from perception.outline.columns import CELL, SLICE, Image, Volume, volume_of
-from perception.outline.surroundings import REACH, Views, inside_ring, relevant
+from perception.outline.surroundings import REACH, inside_ring, relevant
 from perception.outline.walls import fit_walls
 from perception.rasters import picked
 from perception.rays.polar import crossed_between
 from perception.segmentation import Levels, floor_and_ceiling
+from perception.views import Views
 
 GAP = 0.15
 """Half of the widest gap between ceiling points that is bridged, metres."""

@@ -27,9 +27,10 @@ from perception.openings import (
     thickness_of,
 )
 from perception.passage import passage
-from perception.rays.wall_evidence import CELL, Beam, gather, local_points, walls_of
+from perception.rays.wall_evidence import CELL, Beam, Wall, gather, local_points, walls_of
 from perception.scan import Scan
 from perception.transforms import Matrix
+from perception.views import Views
 
 __all__ = ["DoorGates", "before", "beyond", "door_pose", "find_doors"]
 
@@ -59,20 +60,18 @@ def find_doors(
         a scan from nearby would decide.
     """
     ranges = [scan.range_image() for scan, _ in scans]
-    cloud, scan_of = _surroundings(shape, scans)
-    stations = np.array([map_from_scanner[:3, 3] for _, map_from_scanner in scans], np.float32)
+    cloud = _surroundings(shape, scans)
     doors: list[Door] = []
     refused: list[tuple[Door, str]] = []
-    for wall in walls_of(shape, cloud[:: max(1, len(cloud) // 200_000)]):
+    for wall in walls_of(shape, cloud.points[:: max(1, len(cloud.points) // 200_000)]):
         evidence = gather(wall, scans, ranges)
-        points: NDArray[np.float32] | None = None
+        views: Views | None = None
         columns = columns_of(evidence, gates)
         refused += [(guessed(wall, evidence, part), HIDDEN) for part in half_hidden(columns, evidence, gates)]
         for left, right in holes(columns, gates):
-            if points is None:
-                points, deeper = local_points(wall, cloud), gather(wall.moved(gates.free_depth), scans, ranges)
-            near = points, scan_of, local_points(wall, stations)
-            opening = measured(wall, evidence, deeper, left, right, *near)
+            if views is None:
+                views, deeper = _seen_from_wall(wall, cloud), gather(wall.moved(gates.free_depth), scans, ranges)
+            opening = measured(wall, evidence, deeper, left, right, views)
             door, gate = _judge(opening, robot_width, gates)
             if gate is None:
                 doors.append(door)
@@ -82,17 +81,24 @@ def find_doors(
     return DoorFindings(tuple(doors), tuple(refused), suspects)
 
 
-def _surroundings(
-    shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]
-) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """All points between a little below the floor and the ceiling, in and around the room, map frame; their scans."""
+def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> Views:
+    """All points between a little below the floor and the ceiling, in and around the room, map frame."""
     low, high = shape.contour.min(axis=0) - AROUND, shape.contour.max(axis=0) + AROUND
     clouds = []
     for scan, map_from_scanner in scans:
         points = transforms.apply(map_from_scanner, scan.points)
         inside = np.all((points[:, :2] > low) & (points[:, :2] < high), axis=1)
         clouds.append(points[inside & (points[:, 2] > shape.floor_z - 1.0) & (points[:, 2] < shape.ceiling_z)])
-    return np.concatenate(clouds), np.repeat(np.arange(len(clouds), dtype=np.int16), [len(cloud) for cloud in clouds])
+    stations = np.array([map_from_scanner[:3, 3] for _, map_from_scanner in scans], np.float32)
+    # Small numbers, for there are tens of millions of them.
+    station_of = np.repeat(np.arange(len(clouds), dtype=np.int16), [len(cloud) for cloud in clouds])
+    return Views(np.concatenate(clouds), stations, station_of)
+
+
+def _seen_from_wall(wall: Wall, cloud: Views) -> Views:
+    """The cloud as (u, d, z) of a wall."""
+    assert cloud.stations is not None
+    return Views(local_points(wall, cloud.points), local_points(wall, cloud.stations), cloud.station_of)
 
 
 def _judge(opening: Opening, robot_width: float, gates: DoorGates) -> tuple[Door, str | None]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from perception.findings import Door
 from perception.rays.wall_evidence import CELL, Beam, Evidence, Wall
+from perception.views import Views
 
 NOMINAL_WIDTH = 0.9
 """Of a door whose other jamb nobody saw, metres."""
@@ -47,8 +48,7 @@ class DoorGates:
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall, what beams did at its plane and deeper in, and the points around it with the scan of
-    each and the stations of all scans, as (u, d, z)."""
+    """A hole in a wall, what beams did at its plane and deeper in, and the views around it as (u, d, z)."""
 
     wall: Wall
     evidence: Evidence
@@ -56,9 +56,11 @@ class Opening:
     left: float
     right: float
     height: float
-    points: NDArray[np.float32]
-    scan_of: NDArray[np.int16]
-    stations: NDArray[np.float32]
+    around: Views
+
+    @property
+    def points(self) -> NDArray[np.floating]:
+        return self.around.points
 
     @property
     def columns(self) -> slice:
@@ -71,7 +73,8 @@ class Opening:
 
     def through(self, some: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Of some of the points, all behind the wall: which were seen through the hole."""
-        points, stations = self.points[some], self.stations[self.scan_of[some]]
+        assert self.around.stations is not None and self.around.station_of is not None
+        points, stations = self.points[some], self.around.stations[self.around.station_of[some]]
         seen = stations[:, 1] < 0  # not from behind the wall
         points, stations = points[seen], stations[seen]
         share = stations[:, 1] / (stations[:, 1] - points[:, 1])
@@ -161,15 +164,13 @@ def measured(
     deeper: Evidence,
     first: int,
     last: int,
-    points: NDArray[np.float32],
-    scan_of: NDArray[np.int16],
-    stations: NDArray[np.float32],
+    views: Views,
 ) -> Opening:
     """The hole with its jambs from the points themselves and its height from the rows."""
-    near = (points[:, 0] > first * CELL - _ASIDE) & (points[:, 0] < last * CELL + _ASIDE)
-    near &= np.abs(points[:, 1]) < AROUND
-    around = points[near]
-    on_wall = around[(np.abs(around[:, 1]) < 0.03) & (around[:, 2] > 0.2) & (around[:, 2] < 1.8)]
+    u, d, _ = views.points.T
+    around = views.subset((u > first * CELL - _ASIDE) & (u < last * CELL + _ASIDE) & (np.abs(d) < AROUND))
+    points = around.points
+    on_wall = points[(np.abs(points[:, 1]) < 0.03) & (points[:, 2] > 0.2) & (points[:, 2] < 1.8)]
     left = _jamb(on_wall, first * CELL, -1.0)
     right = _jamb(on_wall, last * CELL, 1.0)
     decided = evidence.decided[first:last]
@@ -178,10 +179,10 @@ def measured(
     shut = (reached >= 0.3 * len(decided)) & (free < 0.5 * reached)
     above = np.flatnonzero(shut[_MIDDLE:])
     height = (above[0] + _MIDDLE) * CELL if len(above) else decided.shape[1] * CELL
-    return Opening(wall, evidence, deeper, left, right, float(height), around, scan_of[near], stations)
+    return Opening(wall, evidence, deeper, left, right, float(height), around)
 
 
-def _jamb(on_wall: NDArray[np.float32], edge: float, side: float) -> float:
+def _jamb(on_wall: NDArray[np.floating], edge: float, side: float) -> float:
     """Where the wall ends beside a hole: the median over height of each slab's last point on the wall."""
     u, z = side * (on_wall[:, 0] - edge), on_wall[:, 2]
     close = (u > -0.12) & (u < 0.20)

@@ -1,7 +1,6 @@
 """What of the cloud is looked at to shape a room: the points around it that are not deep inside another one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
@@ -13,6 +12,7 @@ from perception.findings import Polygon
 from perception.grids import Grid
 from perception.rasters import picked
 from perception.segmentation import one_per_voxel
+from perception.views import Views
 
 REACH = 30.0
 """Half side of the window around the seed that is looked at, metres."""
@@ -21,32 +21,6 @@ _BESIDE = 0.60
 """What lies deeper inside another room does not shape this one, metres: the faces of a shared wall do."""
 _SPACING, _MANY = 0.025, 1_500_000
 """Of so many points one in each cube of this side, metres, is looked at."""
-
-
-@dataclass(frozen=True)
-class Views:
-    """Points ``(N, 3)`` of the map frame, and where they were seen from, if known.
-
-    Args:
-        points: in the order of their stations.
-        stations: ``(S, 3)``.
-        station_of: ``(N,)`` row of ``stations``, ascending.
-    """
-
-    points: NDArray[np.float64]
-    stations: NDArray[np.floating] | None = None
-    station_of: NDArray[np.integer] | None = None
-
-    def of(self, station: int) -> NDArray[np.float64]:
-        """The points seen from one station; all of them if that is not known."""
-        if self.station_of is None:
-            return self.points
-        first, last = np.searchsorted(self.station_of, [station, station + 1])
-        return self.points[first:last]
-
-    def subset(self, mask: NDArray[np.bool_]) -> "Views":
-        rows = None if self.station_of is None else self.station_of[mask]
-        return Views(self.points[mask], self.stations, rows)
 
 
 def relevant(

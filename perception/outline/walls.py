@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from perception.findings import Polygon
 from perception.grids import Grid
-from perception.outline.surroundings import Views
 from perception.rasters import picked
 from perception.segmentation import Histogram, Interval, local_maxima, peak_interval
+from perception.views import Views
 
 Vector = NDArray[np.float64]
 
@@ -158,7 +158,7 @@ def _facing(side: Line, views: Views, trim: float) -> tuple[Vector, Vector, Vect
 
 @njit(cache=True)
 def _strip(
-    points: NDArray[np.float64], start: Vector, direction: Vector, limits: tuple[float, float, float, float]
+    points: NDArray[np.floating], start: Vector, direction: Vector, limits: tuple[float, float, float, float]
 ) -> tuple[NDArray[np.intp], Vector, Vector]:
     """Points within (low, high) along a line and (low, high) to its right: indices, and the places both ways."""
     chosen = np.empty(len(points), np.intp)

@@ -236,6 +236,6 @@ def _fitted(wall: Wall, xy: NDArray[np.float64]) -> Wall:
     )
 
 
-def local_points(wall: Wall, points: NDArray[np.float32]) -> NDArray[np.float32]:
+def local_points(wall: Wall, points: NDArray[np.floating]) -> NDArray[np.floating]:
     """Points of the map frame as (u, d, z above the floor)."""
     return transforms.apply(wall.wall_from_map, points)

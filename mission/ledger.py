@@ -78,7 +78,7 @@ class Ledger:
         except BaseException as error:
             self._db.close()  # or its lock would keep the next one out
             if isinstance(error, sqlite3.DatabaseError):
-                raise _refusal(path, error) from error
+                raise _failure(path, error, otherwise="LEDGER_BAD") from error
             raise
 
     def _open(self) -> None:
@@ -185,10 +185,10 @@ class Ledger:
                 self._db.execute("COMMIT")
             except sqlite3.OperationalError as error:
                 self._roll_back()
-                if "full" in str(error):
-                    raise FailureError("DISK_FULL", f"{self.path}: {error}", path=str(self.path)) from error
-                self._broken = FailureError("IO_ERROR", f"{self.path}: {error}", path=str(self.path))
-                raise self._broken from error
+                failure = _failure(self.path, error, otherwise="IO_ERROR")
+                if failure.failure.code != "DISK_FULL":
+                    self._broken = failure
+                raise failure from error
             except BaseException:
                 self._roll_back()
                 raise
@@ -202,15 +202,19 @@ def _connected(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=0.5)
     except sqlite3.DatabaseError as error:
-        raise _refusal(path, error) from error
+        raise _failure(path, error, otherwise="LEDGER_BAD") from error
 
 
-def _refusal(path: Path, error: sqlite3.DatabaseError) -> FailureError:
-    """Why a ledger cannot be opened."""
-    words = str(error)
-    disk = "DISK_FULL" if "full" in words else "IO_ERROR"
-    code = disk if "full" in words or "disk I/O" in words else "LEDGER_IN_USE" if "locked" in words else "LEDGER_BAD"
-    return FailureError(code, f"{path}: {error}", path=str(path))
+def _failure(path: Path, error: sqlite3.DatabaseError, otherwise: str) -> FailureError:
+    """What SQLite's words mean to an operator."""
+    words, code = str(error), otherwise
+    if "full" in words:
+        code = "DISK_FULL"
+    elif "disk I/O" in words:
+        code = "IO_ERROR"
+    elif "locked" in words:
+        code = "LEDGER_IN_USE"
+    return FailureError(code, f"{path}: {words}", path=str(path))
 
 
 def chained(previous: str, body: str) -> str:

@@ -114,23 +114,16 @@ def rank_views(
         FailureError: ``NBV_SENSOR_OUTSIDE`` if the optical centre lies above or below the space.
     """
     cells = np.argwhere(field.mask.data & ~_avoided(field.mask, avoid))
-    gains = np.full(field.mask.shape, NOT_EVALUATED, np.int64)
-    estimates, sight = gains.copy(), earlier
+    gains = estimates = np.empty(0, np.int64)
+    sight = earlier
     if len(cells):
         counter = _Counter(space, sensor, floor_z, weight, cells, earlier)
-        sight = _count(cells, counter, gains, estimates, max_rays)
-    counted = np.argwhere(gains > NOT_EVALUATED)
-    path = field.path_length.data[tuple(counted.T)]
-    gain = gains[tuple(counted.T)]
-    score = gain if travel is None else gain / (travel.scan_seconds + path / travel.speed)
-    ranked = np.lexsort((counted[:, 1], counted[:, 0], path, -score))
-    places = field.mask.centres_of(counted)
-    best = [
-        Candidate(float(places[n, 0]), float(places[n, 1]), int(gain[n]), float(path[n]))
-        for n in _spread(places, ranked, separation)
-    ]
-    choice = ViewChoice(tuple(best), len(cells))
-    return Ranking(choice, field.mask.with_data(gains), field.mask.with_data(estimates), sight)
+        gains, estimates, sight = _count(cells, counter, max_rays)
+    counted = gains > NOT_EVALUATED
+    best = _best(field, cells[counted], gains[counted], travel, separation)
+    return Ranking(
+        ViewChoice(best, len(cells)), _drawn(field.mask, cells, gains), _drawn(field.mask, cells, estimates), sight
+    )
 
 
 def surface(space: VoxelSpace) -> NDArray[np.bool_]:
@@ -201,33 +194,52 @@ def _slope(elevation: float) -> float:
 
 
 def _count(
-    cells: NDArray[np.int64],
-    counter: _Counter,
-    gains: NDArray[np.int64],
-    estimates: NDArray[np.int64],
-    max_rays: int,
-) -> Sight | None:
-    """Fill in the gains of all cells, or where that is too much of the finalists of two rounds on a lot of columns.
+    cells: NDArray[np.int64], counter: _Counter, max_rays: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Sight | None]:
+    """``(K,)`` gains and estimates: of all cells exactly, or of the finalists of two rounds on a lot of columns.
 
     The first round asks one cell in each block, the second all cells around its best; each has a third of the rays.
     """
     if len(cells) * counter.targets <= max_rays:
-        gains[tuple(cells.T)], sight = counter.exactly(cells)
-        np.copyto(estimates, gains)
-        return sight
+        gains, sight = counter.exactly(cells)
+        return gains, gains, sight
     rays = max_rays // 3
     stride = max(2, int(np.ceil(np.sqrt(len(cells) / COARSE))))
     _, first, block = np.unique(cells // stride, axis=0, return_index=True, return_inverse=True)
     asked = counter.roughly(cells[first], rays)
-    estimates[tuple(cells.T)] = asked[block.ravel()]
+    estimates = asked[block.ravel()]
     leaders = cells[first[np.argsort(-asked, kind="stable")[:REFINED]]]
-    around = cells[np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1) < stride]
-    fine = counter.roughly(around, rays)
-    estimates[tuple(around.T)] = fine
-    finalists = around[np.argsort(-fine, kind="stable")[: max(1, rays // counter.targets)]]
-    gains[tuple(finalists.T)], _ = counter.exactly(finalists)
-    estimates[tuple(finalists.T)] = gains[tuple(finalists.T)]
-    return None
+    around = np.flatnonzero(np.abs(cells[:, None] - leaders[None]).max(axis=2).min(axis=1) < stride)
+    estimates[around] = counter.roughly(cells[around], rays)
+    finalists = around[np.argsort(-estimates[around], kind="stable")[: max(1, rays // counter.targets)]]
+    gains = np.full(len(cells), NOT_EVALUATED, np.int64)
+    gains[finalists], _ = counter.exactly(cells[finalists])
+    estimates[finalists] = gains[finalists]
+    return gains, estimates, None
+
+
+def _drawn(frame: Grid, cells: NDArray[np.int64], counts: NDArray[np.int64]) -> Grid:
+    """The counts at their cells, NOT_EVALUATED in all others."""
+    drawn = np.full(frame.shape, NOT_EVALUATED, np.int64)
+    drawn[tuple(cells.T)] = counts
+    return frame.with_data(drawn)
+
+
+def _best(
+    field: CandidateField,
+    cells: NDArray[np.int64],
+    gain: NDArray[np.int64],
+    travel: Travel | None,
+    separation: float,
+) -> tuple[Candidate, ...]:
+    path = field.path_length.data[tuple(cells.T)]
+    score = gain if travel is None else gain / (travel.scan_seconds + path / travel.speed)
+    ranked = np.lexsort((cells[:, 1], cells[:, 0], path, -score))
+    places = field.mask.centres_of(cells)
+    return tuple(
+        Candidate(float(places[n, 0]), float(places[n, 1]), int(gain[n]), float(path[n]))
+        for n in _spread(places, ranked, separation)
+    )
 
 
 def _spread(places: NDArray[np.float64], ranked: NDArray[np.int64], separation: float) -> list[int]:

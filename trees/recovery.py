@@ -2,17 +2,17 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import FailureIs, FailureIsNot, LetTheWatchLook
+from behaviours.conditions import FailureIs, FailureIsNot
 from behaviours.recover import Recover
 from behaviours.rooms import DeferDoor
 from behaviours.viewing import AvoidView
+from behaviours.waiting import LetTheWatchLook
 from trees.compose import steps
 
 ANOTHER_SCAN_MAY_HELP = ("SCAN_", "ALIGN_", "XFER_BROKEN")
 HELP_WITH = (
     "REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "DISK_FULL", "IO_ERROR", "SPOOL_FAILED",
-    "DEVICE_FORGOT",
-    "DRIVER_EXCEPTION", "RESULT_NOT_FINITE", "ESTOP", "LEAF_EXCEPTION",
+    "DEVICE_FORGOT", "DRIVER_EXCEPTION", "RESULT_NOT_FINITE", "ESTOP", "LEAF_EXCEPTION",
 )  # fmt: skip
 """Codes of what a person at the robot may be able to put right."""
 _ATTEMPTS = 3

@@ -7,6 +7,8 @@ import typer
 
 from mission.commands.common import Keys, refusals
 
+World = Annotated[Path, typer.Option(help="World file of the simulation.")]
+Truth = Annotated[Path, typer.Option(help="Folder for the truth log.")]
 Serves = Annotated[
     Path | None,
     typer.Option("--serves", help="File that names the process of the one mission it is for; it ends 10 min after it."),
@@ -14,8 +16,8 @@ Serves = Annotated[
 
 
 def agent_scanner(
-    world: Annotated[Path, typer.Option(help="World file of the simulation.")],
-    truth: Annotated[Path, typer.Option(help="Folder for the truth log.")],
+    world: World,
+    truth: Truth,
     plant: Annotated[str, typer.Option(help="Endpoint of the simulated base's side channel.")],
     control: Annotated[str, typer.Option(help="Endpoint to listen on.")] = "tcp://127.0.0.1:5601",
     bulk: Annotated[str, typer.Option(help="Endpoint for scan data.")] = "tcp://127.0.0.1:5602",
@@ -35,8 +37,8 @@ def agent_scanner(
 
 
 def agent_base(
-    world: Annotated[Path, typer.Option(help="World file of the simulation.")],
-    truth: Annotated[Path, typer.Option(help="Folder for the truth log.")],
+    world: World,
+    truth: Truth,
     plant: Annotated[str, typer.Option(help="Endpoint of the side channel to the simulated scanner.")],
     control: Annotated[str, typer.Option(help="Endpoint to listen on.")] = "tcp://127.0.0.1:5611",
     telemetry: Annotated[str, typer.Option(help="Endpoint to publish on.")] = "tcp://127.0.0.1:5612",

@@ -1,4 +1,8 @@
-"""From a pose to a goal without touching anything: the footprint is checked at every cell and heading."""
+"""From a pose to a goal without touching anything that the map has: the footprint is checked at each cell and heading.
+
+A cell of the map that is an obstacle may be one by its very edge; what is nearer than half a cell is for the bumper's
+field to tell (:mod:`drivers.simulated.safety`).
+"""
 
 from dataclasses import dataclass
 

@@ -26,7 +26,7 @@ campaign: setup
 	.venv/bin/python -m benchmarks.disk
 	.venv/bin/python -m benchmarks.campaign
 	.venv/bin/python -m benchmarks.chaos --missions 50
-	.venv/bin/python -m benchmarks.kills --rounds 200
+	.venv/bin/python -m benchmarks.kills --kills 200
 
 # Every stage at five million points, against alternatives; two idle cores tell the truth.
 bench: setup

@@ -5,13 +5,14 @@ in each, several processes are killed at seeded instants, the next one no sooner
 The harness does what an operator would: takes the mission up with ``mission resume RUN --auto-resume``, or starts the
 agent again where it listened. The simulator's log judges:
 
-* no scan that the scanner had stored is missing in the survey, none of them was taken twice, no goal driven twice;
+* no scan that the scanner had stored is missing in the survey, none of them was taken twice, no goal begun twice;
 * the mission ends complete, the run folder is clean, and has the rooms and doors of the undisturbed mission;
 * every pose is where the simulator says that scan was taken, and each room's area is the undisturbed one's.
 
 Bits cannot be compared: the base's control loop runs on real time, so that no two missions, undisturbed or not, stop at
 the same millimetre; ``tests/scenarios/test_resume.py`` does so on a virtual clock, for a death at each write. Ends with
-1 when a promise was broken; each such mission is printed as the command that repeats it.
+1 when a promise was broken, also by the undisturbed mission; each other one is printed as the command that repeats its
+victims and instants.
 """
 
 import argparse
@@ -25,7 +26,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from drivers.simulated.truth_log import read_truth
 from drivers.simulated.world import save_world
 from drivers.simulated.worlds import load_world
 from mission.commands.common import UNREACHABLE
+from mission.journal import read_events
 from perception import transforms
 from tests.missions.flights import ENOUGH, PATIENCE_S, TWO_ROOMS, free_ports, mission, write_site
 
@@ -50,6 +52,9 @@ CHANGES = (
 )
 POSE_M, AREA = 0.02, 0.05
 """How far a pose may be from the truth, metres, and a room's area from the undisturbed one, as a share."""
+_BREAKS_OFF = (AssertionError, subprocess.TimeoutExpired, OSError, ValueError, LookupError)
+"""What a mission that went wrong may raise here; whatever else is raised is an error of this program."""
+_FIRST_SCAN = "take the scan"
 
 
 @dataclass
@@ -64,10 +69,10 @@ class Rig:
     def __post_init__(self) -> None:
         common = (f"--world={self.world}", f"--truth={self.truth}", f"--speed={SPEED}")
         plant, control, telemetry, scans, bulk = free_ports(5)
-        where = (f"--plant={plant}", f"--control={control}", f"--telemetry={telemetry}")
-        self.commands["base"] = ["agent", "base", *common, *where]
-        where = (f"--plant={plant}", f"--control={scans}", f"--bulk={bulk}", "--profile=vz-400i")
-        self.commands["scanner"] = ["agent", "scanner", *common, *where]
+        of_base = (f"--plant={plant}", f"--control={control}", f"--telemetry={telemetry}")
+        self.commands["base"] = ["agent", "base", *common, *of_base]
+        of_scanner = (f"--plant={plant}", f"--control={scans}", f"--bulk={bulk}", "--profile=vz-400i")
+        self.commands["scanner"] = ["agent", "scanner", *common, *of_scanner]
         write_site(
             self.site, {"control": scans, "bulk": bulk}, {"control": control, "telemetry": telemetry}, speed=SPEED
         )
@@ -92,7 +97,7 @@ class Rig:
         for name in ("base", "scanner"):
             self.start(name)
         for name in ("base", "scanner"):
-            assert self.processes[name].stdout.readline(), f"the {name}'s agent did not come up"
+            self._await(name)
 
     def kill(self, victim: str) -> bool:
         """False where there is nothing to kill: an executive that has no worker just now."""
@@ -110,7 +115,7 @@ class Rig:
             self.resume()
         elif victim != "worker":
             self.start(victim)
-            assert self.processes[victim].stdout.readline(), f"the {victim}'s agent did not come up again"
+            self._await(victim)
 
     def resume(self) -> None:
         self.start("executive", "resume", self.run, "--auto-resume", "--json")
@@ -124,6 +129,11 @@ class Rig:
             process.terminate()
         for process in self.processes.values():
             process.communicate(timeout=PATIENCE_S)
+
+    def _await(self, name: str) -> None:
+        """An agent says where it listens when it is up."""
+        said = self.processes[name].stdout
+        assert said is not None and said.readline(), f"the {name}'s agent did not come up"
 
     def _worker(self) -> int | None:
         """The executive's child that does the thinking, while it has one."""
@@ -150,6 +160,14 @@ class Kill:
     taken: Counter[str]
 
 
+class BrokenOffError(Exception):
+    """A mission that came to no end, and who was killed in it."""
+
+    def __init__(self, why: str, kills: Sequence[Kill]) -> None:
+        super().__init__(why)
+        self.kills = tuple(kills)
+
+
 @dataclass(frozen=True)
 class Flight:
     """What came of a mission, and what the simulator saw."""
@@ -158,8 +176,8 @@ class Flight:
     words: str
     state: dict[str, Any]
     truth: list[dict[str, Any]]
+    events: list[dict[str, Any]]
     kills: tuple[Kill, ...]
-    seconds: float
 
     @property
     def rooms(self) -> list[tuple[str, float]]:
@@ -169,7 +187,14 @@ class Flight:
         return taken_in(self.truth)
 
     def driven(self) -> Counter[str]:
-        return Counter(str(event["goal_id"]) for event in self.truth if event["event"] == "drive")
+        """How often each goal was begun; a base that is killed on its way never writes that a drive ended."""
+        return Counter(str(event["goal_id"]) for event in self.truth if event["event"] == "drive_begun")
+
+    def work_s(self) -> float:
+        """Seconds of the wall from the first scan's order to the mission's end, both by the mission's clock."""
+        ordered = next(event["t"] for event in self.events if event.get("node") == _FIRST_SCAN)
+        ended = next(event["t"] for event in self.events if event["kind"] == "mission_ended")
+        return float(ended - ordered) / SPEED
 
     def pose_errors(self) -> list[float]:
         """Metres from each scan's pose to where it was taken, in the frame of the first."""
@@ -183,7 +208,7 @@ class Flight:
 
 def broken_promises(flight: Flight, whole: Flight | None) -> list[str]:
     """In words; nothing where all were kept."""
-    found = [] if flight.code == 0 else [f"exit code {flight.code}: {flight.words[-400:]}"]
+    found = [] if flight.code == 0 else [f"exit code {flight.code}: {flight.words[-600:].strip()}"]
     listed = [scan["scan_id"] for scan in flight.state.get("scans", ())]
     kept = {*listed, *flight.state.get("scans_without_place", ())}
     lost = set(flight.taken()) - kept
@@ -195,7 +220,7 @@ def broken_promises(flight: Flight, whole: Flight | None) -> list[str]:
     found += [f"scans lost: {sorted(lost)}"] * bool(lost)
     found += [f"scans taken twice: {sorted(often | again)}"] * bool(often or again)
     found += [f"scans listed twice: {listed}"] * (len(listed) != len(set(listed)))
-    found += [f"goals driven twice: {moved}"] * bool(moved)
+    found += [f"goals begun twice: {moved}"] * bool(moved)
     if listed and not lost:
         worst = max(flight.pose_errors())
         found += [f"a pose is {worst:.3f} m off"] * (worst > POSE_M)
@@ -226,23 +251,39 @@ def rig(folder: Path, world: Path) -> Iterator[Rig]:
 
 
 def fly(world: Path, plan: Iterable[tuple[str, float]] = ()) -> Flight:
-    """One mission; each victim of the plan is killed so many seconds after the first scan's order, or the last kill."""
-    began = time.monotonic()
-    with ExitStack() as stack:
-        up = stack.enter_context(rig(Path(stack.enter_context(tempfile.TemporaryDirectory())), world))
-        flags = ("--unattended", "--json", *(f"--set={change}" for change in CHANGES))
-        up.start("executive", "run", up.site, f"--out={up.folder / 'runs'}", *flags)
-        kills = []
-        for victim, wait in plan:
-            if not _lives_until(up, wait):
-                break
-            kills += _killed(up, victim)
-            up.start_again(victim)
-        code, words = _ended(up)
-        if code == 0:
-            code = mission("fsck", up.run).wait()
-        state = json.loads((up.run / "state.json").read_text())
-        return Flight(code, words, state, read_truth(up.truth), tuple(kills), time.monotonic() - began)
+    """One mission; each victim of the plan is killed so many seconds after the first scan's order, or the last kill.
+
+    Raises:
+        BrokenOffError: where it came to no end that could be judged.
+    """
+    kills: list[Kill] = []
+    try:
+        with tempfile.TemporaryDirectory() as folder, rig(Path(folder), world) as up:
+            return _flown(up, plan, kills)
+    except _BREAKS_OFF as error:
+        raise BrokenOffError(repr(error), kills) from error
+
+
+def _flown(up: Rig, plan: Iterable[tuple[str, float]], kills: list[Kill]) -> Flight:
+    flags = ("--unattended", "--json", *(f"--set={change}" for change in CHANGES))
+    up.start("executive", "run", up.site, f"--out={up.folder / 'runs'}", *flags)
+    for victim, wait in plan:
+        if not _lives_until(up, wait):
+            break
+        kills += _killed(up, victim)
+        up.start_again(victim)
+    code, words = _ended(up)
+    if code == 0:
+        code, words = _looked_through(up.run)
+    state = json.loads((up.run / "state.json").read_text())
+    return Flight(code, words, state, read_truth(up.truth), read_events(up.run / "events.jsonl"), tuple(kills))
+
+
+def _looked_through(run: Path) -> tuple[int, str]:
+    """Exit code and words of ``mission fsck``."""
+    fsck = mission("fsck", run)
+    said, errors = fsck.communicate(timeout=PATIENCE_S)
+    return fsck.returncode, f"fsck: {said}{errors}"
 
 
 def _killed(up: Rig, victim: str) -> Iterator[Kill]:
@@ -257,12 +298,12 @@ def _killed(up: Rig, victim: str) -> Iterator[Kill]:
 def _ended(up: Rig) -> tuple[int, str]:
     """Exit code and words of the mission, taken up once more for each agent that was away when it was resumed."""
     for _ in VICTIMS:
-        _, words = up.processes["executive"].communicate(timeout=PATIENCE_S)
+        summary, errors = up.processes["executive"].communicate(timeout=PATIENCE_S)
         code = up.processes["executive"].returncode
         if code != UNREACHABLE:
             break
         up.resume()
-    return code, words
+    return code, f"{summary}{errors}"
 
 
 def taken_in(truth: Iterable[dict[str, Any]]) -> Counter[str]:
@@ -273,7 +314,7 @@ def _lives_until(up: Rig, instant: float) -> bool:
     """Wait for the first scan to be ordered and then so long; False for a mission that is over by then."""
     executive = up.processes["executive"]
     end = time.monotonic() + PATIENCE_S
-    while executive.poll() is None and "take the scan" not in _log(up.folder):
+    while executive.poll() is None and _FIRST_SCAN not in _log(up.folder):
         assert time.monotonic() < end, "no scan is ever ordered"
         time.sleep(0.05)
     time.sleep(instant)
@@ -288,63 +329,87 @@ def _log(folder: Path) -> str:
 def _doing(run: Path) -> str:
     """The leaf that runs now, by the log."""
     running = ""
-    for line in (run / "events.jsonl").read_text().splitlines():
-        event = json.loads(line) if line.endswith("}") else {}
-        if event.get("kind") == "node" and event["after"] == "RUNNING":
+    for event in read_events(run / "events.jsonl"):
+        if event["kind"] == "node" and event["after"] == "RUNNING":
             running = event["node"]
     return running
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=200, help="in all; no mission begins after so many")
-    parser.add_argument("--each", type=int, default=4, help="in each mission, if it lasts that long")
-    parser.add_argument("--seed", type=int, default=0, help="of the first mission")
-    parser.add_argument("--victim", choices=VICTIMS, help="only this one")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no mission after so many")
-    options = parser.parse_args()
+    options = _arguments()
+    most = options.kills if options.missions is None else options.missions
     until = time.monotonic() + 60 * options.minutes
     died: Counter[str] = Counter()
     missions = broken = 0
     with tempfile.TemporaryDirectory() as folder:
-        plan, world = Path(folder) / "plan.yaml", Path(folder) / "world.npz"
-        plan.write_text(yaml.safe_dump(TWO_ROOMS))
-        save_world(load_world(str(plan)), world)
-        whole = fly(world)
-        print(f"undisturbed: {len(whole.taken())} scans, {len(whole.driven())} drives, {whole.seconds:.0f} s", end="; ")
-        print(f"worst pose {1000 * max(whole.pose_errors()):.1f} mm; {broken_promises(whole, None) or 'all well'}")
-        lasts = _seconds_of_work(whole)
-        while died.total() < options.kills and time.monotonic() < until:
+        world = _built(Path(folder))
+        whole = undisturbed(world)
+        lasts = options.lasts or round(whole.work_s(), 1)
+        print(f"undisturbed: {len(whole.taken())} scans, {len(whole.driven())} drives, ", end="")
+        print(f"worst pose {1000 * max(whole.pose_errors()):.1f} mm; kills are spread over {lasts} s", flush=True)
+        while died.total() < options.kills and missions < most and time.monotonic() < until:
             seed = options.seed + missions
-            chance = random.Random(seed)
-            victims = [options.victim or chance.choice(VICTIMS) for _ in range(options.each)]
-            ordeal = [(victim, chance.uniform(0.0, 1.5 * lasts / options.each)) for victim in victims]
-            kills, promises = _tried(world, ordeal, whole)
+            kills, promises = _tried(world, ordeal(seed, lasts, options.each, options.victim), whole)
             missions += 1
             broken += bool(promises)
             died.update(kill.victim for kill in kills)
             told = ", ".join(f"{kill.victim} at '{kill.node}'" for kill in kills)
-            print(f"{seed}: {told or 'over before any kill'}: {'; '.join(promises) or 'kept'}")
+            print(f"{seed}: {told or 'over before any kill'}: {'; '.join(promises) or 'kept'}", flush=True)
             if promises:
-                only = f" --victim {options.victim}" if options.victim else ""
-                print(f"  again: python -m benchmarks.kills --kills 1 --each {options.each} --seed {seed}{only}")
-            sys.stdout.flush()
+                print(f"  again: {_command(seed, lasts, options.each, options.victim)}", flush=True)
     print(f"{missions} missions, {broken} broke a promise; killed: {', '.join(f'{v} {died[v]}' for v in VICTIMS)}")
     return 1 if broken else 0
 
 
-def _tried(world: Path, ordeal: Sequence[tuple[str, float]], whole: Flight) -> tuple[tuple[Kill, ...], list[str]]:
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=200, help="in all; no mission begins after so many")
+    parser.add_argument("--missions", type=int, help="at most; as many as kills unless told otherwise")
+    parser.add_argument("--each", type=int, default=4, help="kills in each mission, if it lasts that long")
+    parser.add_argument("--seed", type=int, default=0, help="of the first mission")
+    parser.add_argument("--victim", choices=VICTIMS, help="only this one")
+    parser.add_argument("--lasts", type=float, help="seconds to spread kills over; as measured by default")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no mission after so many")
+    return parser.parse_args()
+
+
+def ordeal(seed: int, lasts: float, each: int, victim: str | None) -> list[tuple[str, float]]:
+    """Who is killed, and how many seconds after the one before; the same whenever it is drawn."""
+    chance = random.Random(seed)
+    victims = [victim or chance.choice(VICTIMS) for _ in range(each)]
+    return [(name, chance.uniform(0.0, 1.5 * lasts / each)) for name in victims]
+
+
+def undisturbed(world: Path) -> Flight:
+    """The mission that all others are measured by, which must be a whole one."""
+    whole = fly(world)
+    promises = broken_promises(whole, None)
+    if len(whole.rooms) != len(TWO_ROOMS["rooms"]):
+        promises.append(f"rooms {whole.rooms}")
+    if promises:
+        raise SystemExit(f"the undisturbed mission is not whole: {'; '.join(promises)}")
+    return whole
+
+
+def _built(folder: Path) -> Path:
+    plan, world = folder / "plan.yaml", folder / "world.npz"
+    plan.write_text(yaml.safe_dump(TWO_ROOMS))
+    save_world(load_world(str(plan)), world)
+    return world
+
+
+def _command(seed: int, lasts: float, each: int, victim: str | None) -> str:
+    only = f" --victim {victim}" if victim else ""
+    return f"python -m benchmarks.kills --missions 1 --each {each} --seed {seed} --lasts {lasts}{only}"
+
+
+def _tried(world: Path, plan: Iterable[tuple[str, float]], whole: Flight) -> tuple[tuple[Kill, ...], list[str]]:
+    """Who was killed, and which promises were broken."""
     try:
-        flight = fly(world, ordeal)
-    except (AssertionError, subprocess.TimeoutExpired, OSError, ValueError) as error:
-        return (), [repr(error)]
+        flight = fly(world, plan)
+    except BrokenOffError as broken:
+        return broken.kills, [str(broken)]
     return flight.kills, broken_promises(flight, whole)
-
-
-def _seconds_of_work(whole: Flight) -> float:
-    """From the first scan's order to the mission's end, seconds of the wall."""
-    scans = [float(event["time"]) for event in whole.truth if event["event"] == "scan"]
-    return max(5.0, float(whole.state["simulated_s"]) / SPEED - scans[0] / SPEED)
 
 
 if __name__ == "__main__":

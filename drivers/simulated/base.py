@@ -175,6 +175,7 @@ class SimulatedBase:
             self._localiser = self._localised_in(goal)
             self._drive = Drive(goal, self._localiser, self._profile, self._driving_time, self._newest_sweep)
             self._outcomes[goal.goal_id] = self._drive.outcome
+            self._truth.write("drive_begun", self._plant.time, goal_id=goal.goal_id)
         except FailureError as error:
             self._outcomes[goal.goal_id] = Failed(error.failure)
 

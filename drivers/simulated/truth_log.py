@@ -12,8 +12,8 @@ class TruthLog:
     """Appends one JSON object per event to ``<folder>/truth.jsonl``; without a folder it forgets everything.
 
     Events: ``scan`` (``scan_id``, ``world_from_scanner`` 4x4 with tilt, ``world_from_base``, ``moving``),
-    ``collision`` (``pose``) and ``drive`` (``goal_id``, ``pose``, ``distance`` so far), each with ``time`` in
-    simulated seconds.
+    ``collision`` (``pose``), ``drive_begun`` (``goal_id``) and, at its end, ``drive`` (``goal_id``, ``pose``,
+    ``distance`` so far), each with ``time`` in simulated seconds.
     """
 
     def __init__(self, folder: Path | None = None) -> None:

@@ -212,8 +212,10 @@ def test_the_truth_log_has_drives_and_collisions(tmp_path):
     wall_missing = MAP.with_data(np.full_like(MAP.data, Cell.FREE))
     base = base_in(truth=TruthLog(tmp_path))
     drive(base, (2.5, 2.0, None), robot_map=wall_missing)
-    (event,) = read_truth(tmp_path)
-    assert event["event"] == "drive" and event["distance"] > 0.5
+    begun, ended = read_truth(tmp_path)
+    assert (begun["event"], ended["event"]) == ("drive_begun", "drive")
+    assert begun["goal_id"] == ended["goal_id"]
+    assert ended["distance"] > 0.5
 
 
 def test_it_runs_by_itself_on_a_clock():

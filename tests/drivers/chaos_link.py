@@ -5,10 +5,11 @@ stopped do all of it. What becomes of the n-th message in a direction depends on
 """
 
 import heapq
+import math
 import random
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -20,10 +21,11 @@ _GLANCE_MS = 20
 
 @dataclass(frozen=True)
 class Mischief:
-    """Shares of the messages, in each direction, that something befalls; the rest passes at once.
+    """Shares of the messages, in each direction, that something befalls, one thing each; the rest passes at once.
 
     Args:
-        hold: shares at which the link stops for up to ``longest_s``, and then delivers all that waited at once.
+        reorder: a message waits until another one has passed it, for ``longest_s`` at most.
+        hold: with a message the link stops for up to ``longest_s``, and then delivers all that waited at once.
         longest_s: seconds that a message is held up at most.
     """
 
@@ -48,56 +50,54 @@ class _Direction:
         self._mischief = mischief
         self._chance = chance
         self._waiting: list[tuple[float, int, list[bytes]]] = []
-        self._swapped: list[bytes] | None = None
+        self._to_be_passed: deque[tuple[float, list[bytes]]] = deque()
         self._held_until = 0.0
         self._count = 0
 
     def carry(self, message: list[bytes]) -> None:
         """Decide what becomes of a message. The same draws are made for each, so that none depends on the time."""
-        lost, fate, late = (self._chance.random() for _ in range(3))
-        stop, stopped_for = self._chance.random() < self._mischief.hold, self._chance.random()
-        now = time.monotonic()
-        if stop:
-            self.befell["hold"] += 1
-            self._held_until = max(self._held_until, now + stopped_for * self._mischief.longest_s)
-        if lost < self._mischief.drop or self.cut:
-            self.befell["drop"] += 1
-            return
-        what = self._fate(fate)
-        self.befell[what] += 1
-        if what == "reorder" and self._swapped is None:
-            self._swapped = message
-            # Nobody may follow it: then it is only late.
-            self._put(now + self._mischief.longest_s, [])
-            return
-        self._put(now + late * self._mischief.longest_s if what == "delay" else now, message)
-        if what == "duplicate":
-            self._put(now + late * self._mischief.longest_s, message)
-        if self._swapped is not None:
-            self._put(now, self._swapped)
-            self._swapped = None
+        drawn, share = self._chance.random(), self._chance.random()
+        fate = "drop" if self.cut else self._fate(drawn)
+        self.befell[fate] += 1
+        now, late = time.monotonic(), share * self._mischief.longest_s
+        if fate == "reorder":
+            self._to_be_passed.append((now + self._mischief.longest_s, message))
+        if fate in ("duplicate", "delay"):
+            self._put(now + late, message)
+        if fate == "hold":
+            self._held_until = max(self._held_until, now + late)
+        if fate in ("pass", "duplicate", "hold"):
+            self._put(now, message)
+            self._follow(now)
 
     def deliver(self) -> None:
         """All that is due."""
         now = time.monotonic()
+        while self._to_be_passed and self._to_be_passed[0][0] <= now:
+            # Nobody came to pass it: then it is only late.
+            self._put(now, self._to_be_passed.popleft()[1])
         while self._waiting and self._waiting[0][0] <= now >= self._held_until:
             _, _, message = heapq.heappop(self._waiting)
-            if not message:
-                message, self._swapped = self._swapped or [], None
-            if message and not self.cut:
+            if not self.cut:
                 self._sink.send_multipart(message)
 
     @property
     def due_in(self) -> float:
         """Seconds until something is due."""
-        return max(self._waiting[0][0], self._held_until) - time.monotonic() if self._waiting else 1.0
+        dues = [first[0][0] for first in (self._waiting, self._to_be_passed) if first]
+        return max(min(dues), self._held_until) - time.monotonic() if dues else 1.0
 
     def _fate(self, drawn: float) -> str:
-        for what in ("duplicate", "delay", "reorder"):
+        for what in ("drop", "duplicate", "delay", "reorder", "hold"):
             drawn -= getattr(self._mischief, what)
             if drawn < 0:
                 return what
         return "pass"
+
+    def _follow(self, now: float) -> None:
+        """All that was to be passed has been."""
+        while self._to_be_passed:
+            self._put(now, self._to_be_passed.popleft()[1])
 
     def _put(self, due: float, message: list[bytes]) -> None:
         self._count += 1
@@ -113,7 +113,7 @@ class ChaosLink:
     """
 
     def __init__(self, target: str, seed: str, mischief: Mischief, telemetry: bool = False) -> None:
-        context = zmq.Context.instance()
+        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         near, far = (zmq.PUB, zmq.SUB) if telemetry else (zmq.ROUTER, zmq.DEALER)
         self._front, self._back = context.socket(near), context.socket(far)
         for socket in (self._front, self._back):
@@ -165,5 +165,5 @@ class ChaosLink:
                     way.deliver()
 
     @staticmethod
-    def _patience_ms(ways: Iterable[_Direction]) -> float:
-        return max(0.0, min(_GLANCE_MS, *(1000 * way.due_in for way in ways), _GLANCE_MS))
+    def _patience_ms(ways: Iterable[_Direction]) -> int:
+        return max(0, math.ceil(min(_GLANCE_MS, *(1000 * way.due_in for way in ways))))

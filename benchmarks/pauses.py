@@ -1,9 +1,10 @@
 """Pause and resume, again and again, while the robot drives: `python -m benchmarks.pauses`.
 
 A whole mission in a building runs, and an operator who comes at random instants of its drives pauses it and lets it go
-on. Prints a line for each time: seconds to rest, seconds until it went on, and with what. A goal that was reached while
-the wheels came to rest needs no motion any more: the base says that it is idle, and the mission goes on with a scan.
-Ends with 1 where a base that was held on its way did not move within a second of being let go.
+on. Prints a line for each time: seconds to rest, seconds until it went on, both from the word on, and with what. A goal
+that was reached while the wheels came to rest needs no motion any more: the base says that it is idle, and the mission
+goes on with a scan. Ends with 1 where a base did not come to rest, or one that was held on its way did not move within
+a second of being let go.
 """
 
 import argparse
@@ -23,14 +24,16 @@ from mission.config import load_config
 from mission.control import CONTROL_FILE, AskStatus, Pause, Resume, order
 
 PATIENCE_S = 300.0
+REST_S = 10.0
 LET_GO_S = 1.0
 STAY_S = (0.1, 4.0)
 
 
 @dataclass(frozen=True)
 class Round:
-    """One pause: seconds to rest and from the word to going on, what the base said in it, what the mission did next."""
+    """One pause: seconds from each word to rest and to going on, what the base said in it, what was done next."""
 
+    rested: bool
     rest_s: float
     on_s: float
     activity: str
@@ -38,7 +41,17 @@ class Round:
 
     @property
     def good(self) -> bool:
-        return self.on_s <= LET_GO_S
+        """Only a base that was held has somewhere to go at once."""
+        return self.rested and (not self.held or self.on_s <= LET_GO_S)
+
+    @property
+    def held(self) -> bool:
+        return self.activity == "held"
+
+    def __str__(self) -> str:
+        figures = f"to rest {self.rest_s:.2f} s, on after {self.on_s:.2f} s; {self.activity}, then {self.next}"
+        why = "TOO LATE" if self.rested else "NEVER AT REST"
+        return figures if self.good else f"{figures} {why}"
 
 
 def pause_once(run: Path, listener: Listener, rng: random.Random) -> Round:
@@ -47,17 +60,17 @@ def pause_once(run: Path, listener: Listener, rng: random.Random) -> Round:
         if not _wait(lambda: _state(listener).moving):
             raise SystemExit("the base does not drive any more")
         time.sleep(rng.uniform(0.0, 1.0))
-    order(run, Pause())
     paused = time.monotonic()
-    _wait(lambda: not _state(listener).moving)
+    order(run, Pause())
+    rested = _wait(lambda: not _state(listener).moving, REST_S)
     rest = time.monotonic() - paused
     time.sleep(rng.uniform(*STAY_S))
     activity = _state(listener).activity
-    order(run, Resume())
     resumed = time.monotonic()
+    order(run, Resume())
     held = activity == "held"
     _wait(lambda: _state(listener).moving if held else _doing(run) not in ("", "pause ordered?"), 10 * LET_GO_S)
-    return Round(rest, time.monotonic() - resumed, activity, _doing(run))
+    return Round(rested, rest, time.monotonic() - resumed, activity, _doing(run))
 
 
 def _wait(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> bool:
@@ -109,8 +122,7 @@ def _pause_often(folder: Path, count: int, rng: random.Random) -> bool:
     for number in range(1, count + 1):
         found = pause_once(address.parent, listener, rng)
         good &= found.good
-        figures = f"{number:3}  to rest {found.rest_s:.2f} s, on after {found.on_s:.2f} s"
-        print(f"{figures}; {found.activity}, then {found.next} {'' if found.good else 'TOO LATE'}", flush=True)
+        print(f"{number:3}  {found}", flush=True)
     listener.close()
     return good
 

@@ -1,7 +1,7 @@
 """How long a tick takes, and how regularly it comes, while perception uses every core: `python -m benchmarks.tick`.
 
 A whole mission runs with scans of five million points: its sockets, its worker, its ledger and its files. Ticks are
-told apart by what the mission does just then; ``thinking`` are those during which the perception worker has a job.
+told apart by the leaf that runs after each; ``thinking`` are those at which it waits for a stage of the paper.
 Prints milliseconds of the wall: of a tick, all that is called from it included, and from one tick to the next. The bar
 is 20 ms for a tick at the 99th percentile while it thinks. What a tick lost by waiting for a core (the kernel's own
 count) is told from what it lost by waiting for the interpreter's lock or the disk, for only an idle machine is fair.
@@ -29,19 +29,10 @@ from mission.clock import MissionClock
 from mission.executive import Executive, active_branch
 from mission.rehearsal import Rehearsal, rehearse
 from mission.worker import NICENESS
+from tests.missions.flights import TWO_ROOMS
 
 BAR_MS = 20.0
 FIVE_MILLION_DEG = 0.085
-WORLD: dict[str, Any] = {
-    "name": "two rooms",
-    "height": 2.7,
-    "start": {"at": [2.2, 2.1], "yaw": 10},
-    "rooms": {"big": {"box": [0.0, 0.0, 4.4, 4.0]}, "small": {"box": [4.6, 0.4, 7.6, 3.6]}},
-    "doors": [{"room": "small", "at": [4.6, 2.0], "width": 1.0, "hinge": "right", "angle": 95}],
-    "furniture": [{"kind": "desk", "at": [0.5, 3.3]}, {"kind": "cabinet", "at": [3.2, 0.3]}],
-}
-
-
 HEAD = ("", "ticks", "tick p50", "p99", "max", "work p99", "core p99", "lock p99", "from p50", "p99", "max")
 
 
@@ -83,12 +74,13 @@ class WatchedClock(MissionClock):
 
 
 def measure(world: Path, step_deg: float, speed: float) -> list[list[str]]:
-    """Rows of one simulated mission."""
+    """Rows of one simulated mission, which must be a whole one."""
     watch = WatchedClock.watch = Stopwatch()
     run.MissionClock = WatchedClock  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
         plan = Rehearsal(str(world), step_deg=step_deg, speed=speed, profile="vz-400i")
-        rehearse(plan, Path(folder), watch)
+        summary = rehearse(plan, Path(folder), watch)
+    assert summary.outcome == "complete", f"{summary.outcome}: {summary.reason}"
     return list(watch.rows())
 
 
@@ -137,7 +129,7 @@ def main() -> None:
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, busy(asked.neighbours):
         world = Path(folder) / "two-rooms.yaml"
-        world.write_text(yaml.safe_dump(WORLD))
+        world.write_text(yaml.safe_dump(TWO_ROOMS))
         rows = measure(world, asked.step, asked.speed)
     print(
         f"{os.cpu_count()} cores, {asked.neighbours} neighbours; milliseconds; bar: tick p99 {BAR_MS:g} while thinking"

@@ -207,22 +207,24 @@ def _clear_layers(walls: NDArray[np.int64], ny: int, i: int, j: int, wanted: int
     start, end = i * ny + j, x // SUBDIVISION * ny + y // SUBDIVISION
     lowest, highest = _shrunk(wanted, 0, MAX_LAYERS)
     here, entered = start, 0
-    level, pace = z / SUBDIVISION, 1.0 / whole
     between = _layers(min(lowest, z // SUBDIVISION), max(highest, z // SUBDIVISION))
+    low, low_climb, high, high_climb = _fan(lowest, highest, z, whole)
     while True:
         left = whole if here == end else min(next_x, next_y)
         if walls[here] & between:
-            # Heights of the lowest and highest ray over this column, in layers; a margin makes up for the rounding.
-            low, high = lowest + 0.5, highest + 0.5
-            bottom = low + (level - low) * pace * (entered if level > low else left) - 1e-6
-            top = high + (level - high) * pace * (left if level > high else entered) + 1e-6
-            if walls[here] & _layers(int(bottom), int(top)):
+            bottom = low + low_climb * (entered if low_climb > 0 else left)
+            top = high + high_climb * (left if high_climb > 0 else entered)
+            fan = _layers(int(bottom), int(top))
+            if walls[here] & fan:
+                if walls[here] & fan == fan and here != start and here != end:
+                    return 0  # every ray is in one of these layers, and all of them are blocked
                 wanted = _unblocked(
                     walls[here], wanted, lowest, highest, z, entered, left, whole, here == start, here == end
                 )
                 if not wanted:
                     return 0
                 lowest, highest = _shrunk(wanted, lowest, highest)
+                low, low_climb, high, high_climb = _fan(lowest, highest, z, whole)
         if here == end:
             return wanted
         entered = left
@@ -232,6 +234,17 @@ def _clear_layers(walls: NDArray[np.int64], ny: int, i: int, j: int, wanted: int
         if next_y == left:
             here += step_y
             next_y += grow_y
+
+
+@njit(cache=True)
+def _fan(lowest: int, highest: int, z: int, whole: int) -> tuple[float, float, float, float]:
+    """Where the lowest and the highest ray start, in layers, and how much they climb in a unit of time.
+
+    A margin makes up for the rounding, so that all rays are between them at any time.
+    """
+    level, pace = z / SUBDIVISION, 1.0 / whole
+    low, high = lowest + 0.5, highest + 0.5
+    return low - 1e-6, (level - low) * pace, high + 1e-6, (level - high) * pace
 
 
 @njit(cache=True)
@@ -253,20 +266,32 @@ def _unblocked(
     at_start: bool,
     at_end: bool,
 ) -> int:
-    """Those of the wanted rays that cross no blocked layer of a column between two times."""
+    """Those of the wanted rays that cross no blocked layer of a column between two times.
+
+    A ray's height at either time, in layers and a rest, is had from that of the ray below it without a division.
+    """
     layer = SUBDIVISION * whole
+    centre = SUBDIVISION * lowest + _HALF
+    at_entry, at_exit = centre * whole + (z - centre) * entered, centre * whole + (z - centre) * left
+    entry, exit_ = at_entry // layer, at_exit // layer
+    entry_rest, exit_rest = at_entry - entry * layer, at_exit - exit_ * layer
+    blocking = wall & ~(1 << (z // SUBDIVISION)) if at_end else wall
     for k in range(lowest, highest + 1):
         bit = 1 << k
-        if not wanted & bit:
-            continue
-        centre = SUBDIVISION * k + _HALF
-        a, b = centre * whole + (z - centre) * entered, centre * whole + (z - centre) * left
-        first = min(a, b) // layer
-        crossed = _layers(first, max(first, (max(a, b) - 1) // layer))
-        if at_start:
-            crossed &= ~bit
-        if at_end:
-            crossed &= ~(1 << (z // SUBDIVISION))
-        if wall & crossed:
-            wanted &= ~bit
+        if wanted & bit:
+            if SUBDIVISION * k + _HALF < z:
+                first, last = entry, exit_ - (exit_rest == 0)
+            else:
+                first, last = exit_, entry - (entry_rest == 0)
+            crossed = _layers(first, max(first, last))
+            if blocking & (crossed & ~bit if at_start else crossed):
+                wanted &= ~bit
+        entry_rest += SUBDIVISION * (whole - entered)
+        if entry_rest >= layer:
+            entry_rest -= layer
+            entry += 1
+        exit_rest += SUBDIVISION * (whole - left)
+        if exit_rest >= layer:
+            exit_rest -= layer
+            exit_ += 1
     return wanted

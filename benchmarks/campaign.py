@@ -15,7 +15,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-BUILDINGS = Path(__file__).parents[1].parent / "shared" / "data" / "buildings"
+from tests.shared_data import BUILDINGS
+
 REAL = (
     ("AC20-FZK-Haus.ifc", ()),
     ("bimwhale_LargeBuilding.ifc", ()),

@@ -25,6 +25,7 @@ from perception import alignment, global_registration, registration, transforms
 from perception.failure import FailureError
 from perception.matching import surfels
 from perception.transforms import Matrix
+from tests.shared_data import SCANS
 
 BAR_M, BAR_DEG = 0.05, 0.5
 OVERLAP = 0.30
@@ -69,7 +70,7 @@ def main() -> None:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[1].parent / "shared" / "data" / "scans")
+    parser.add_argument("--data", type=Path, default=SCANS)
     parser.add_argument("--only", nargs="*", default=[], help="names of sets")
     parser.add_argument("--pictures", type=Path, help="folder for the pictures of each set")
     return parser.parse_args()

@@ -17,8 +17,8 @@ from drivers.simulated.worlds.procedural import draw_plan
 from drivers.simulated.worlds.surfaces import areas, structural_surfaces
 from perception.failure import FailureError
 from perception.grids import Grid
+from tests.shared_data import BUILDINGS
 
-BUILDINGS = Path(__file__).parents[2].parent / "shared" / "data" / "buildings"
 TABLE_2 = {
     "room-1": (68.80, 96.60),
     "room-2": (48.16, 153.20),

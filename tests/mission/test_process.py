@@ -17,11 +17,11 @@ from perception.failure import FailureError
 from perception.grids import Cell
 from perception.scan import BeamPattern
 from tests.perception import rooms
+from tests.shared_data import SCANS
 
 pytestmark = pytest.mark.xdist_group("processed")
 """Its fixture is a whole flight or pipeline: one process makes it for all."""
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data" / "scans"
 PLACES = ((2.0, 2.5, 0.2), (4.4, 1.6, -0.3))
 
 
@@ -42,9 +42,9 @@ class Processed:
 
 
 def real(name: str, out: Path) -> Processed:
-    if not (DATA / name).is_dir():
-        pytest.skip(f"the recorded scans are not on this machine: {DATA / name}")
-    return Processed(process_folder(DATA / name, out))
+    if not (SCANS / name).is_dir():
+        pytest.skip(f"the recorded scans are not on this machine: {SCANS / name}")
+    return Processed(process_folder(SCANS / name, out))
 
 
 def true_pose(number: int) -> np.ndarray:

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +8,10 @@ from perception.failure import FailureError
 from perception.global_registration import register_globally
 from perception.registration import anchor, judge, reference_from, register, surface_of
 from perception.scan import BeamPattern
+from tests.shared_data import SCANS
 from tests.synthetic import Scene, box
 
 PATTERN = BeamPattern.with_step(np.deg2rad(0.6), (np.deg2rad(-40), np.deg2rad(60)), (1.5, 120.0))
-DATA = Path(__file__).parents[2].parent / "shared" / "data" / "scans"
 EXPECTED = (0.2, np.deg2rad(2.0))
 
 
@@ -185,7 +184,7 @@ def test_empty_box_room_is_ambiguous_to_a_global_search_but_not_near_a_heading()
 
 
 def test_real_pair_of_spinning_lidar_scans_agrees_with_its_reference():
-    folder = DATA / "gicp_pair"
+    folder = SCANS / "gicp_pair"
     if not folder.exists():
         pytest.skip("the shared real scans are not here")
     import open3d as o3d

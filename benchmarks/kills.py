@@ -211,17 +211,18 @@ def broken_promises(flight: Flight, whole: Flight | None) -> list[str]:
     found = [] if flight.code == 0 else [f"exit code {flight.code}: {flight.words[-600:].strip()}"]
     listed = [scan["scan_id"] for scan in flight.state.get("scans", ())]
     kept = {*listed, *flight.state.get("scans_without_place", ())}
-    lost = set(flight.taken()) - kept
+    lost, invented = set(flight.taken()) - kept, kept - set(flight.taken())
     # A scan that was under way when the scanner's computer died was in no hands yet: it is taken by its name again.
     deaths = sum(kill.victim == "scanner" for kill in flight.kills)
     often = {name for name, count in flight.taken().items() if count > 1 + deaths}
     again = {name for kill in flight.kills for name in kill.stored if flight.taken()[name] > kill.taken[name]}
     moved = [name for name, count in flight.driven().items() if count > 1]
     found += [f"scans lost: {sorted(lost)}"] * bool(lost)
+    found += [f"scans that nobody took: {sorted(invented)}"] * bool(invented)
     found += [f"scans taken twice: {sorted(often | again)}"] * bool(often or again)
     found += [f"scans listed twice: {listed}"] * (len(listed) != len(set(listed)))
     found += [f"goals begun twice: {moved}"] * bool(moved)
-    if listed and not lost:
+    if listed and not invented:
         worst = max(flight.pose_errors())
         found += [f"a pose is {worst:.3f} m off"] * (worst > POSE_M)
     if whole is not None:

@@ -33,8 +33,11 @@ class DriveToTarget(JobLeaf):
             raise FailureError("NAV_NO_TARGET", "no place to drive to was chosen")
         if survey.map_id is None:
             raise FailureError("NAV_NO_MAP", "no robot map yet, so nowhere is known to be free")
-        robot_map = self.services.files.robot_map(survey.map_id)
         base: BaseState | None = self.read(Key.BASE)
+        if base is not None and not survey.knows_place(base):
+            # It began anew since the scan that was to tell where it stands: another one must be taken.
+            raise FailureError("NAV_INTERRUPTED", "the base began anew before it set out, so its place is not known")
+        robot_map = self.services.files.robot_map(survey.map_id)
         self._set_out = base
         known = _registered_pose(survey, base)
         return self.services.base.drive(

@@ -25,7 +25,7 @@ class Key(StrEnum):
     ROOM = "room"
     """str, id of the room being scanned."""
     COUNTS = "counts"
-    """:class:`perception.findings.LabelCounts` | None, the room's voxels by label after this cycle's scan."""
+    """:class:`behaviours.survey.Labelled` | None, the room's voxels by label after this cycle's scan."""
     DOOR = "door"
     """str | None, id of the door being passed."""
     TARGET = "target"

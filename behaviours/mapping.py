@@ -9,7 +9,7 @@ from py_trees.common import Status
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from behaviours.scanning import StageLeaf
-from behaviours.survey import CurrentScan, ScanRecord, Survey
+from behaviours.survey import CurrentScan, Labelled, ScanRecord, Survey
 from perception import transforms
 from perception.failure import FailureError
 from perception.findings import LabelCounts, Registration, RoomShape
@@ -179,7 +179,7 @@ class LabelSpace(StageLeaf):
         }
 
     def finish(self, value: LabelCounts) -> Status:
-        self.write(Key.COUNTS, value)
+        self.write(Key.COUNTS, Labelled(self.read(Key.SURVEY).scans[-1].scan_id, value))
         self.say(f"{value.occupied:,} occupied, {value.empty:,} empty, {value.occluded:,} occluded")
         return Status.SUCCESS
 

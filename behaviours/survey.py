@@ -77,6 +77,14 @@ class ScanRecord:
 
 
 @dataclass(frozen=True)
+class Labelled:
+    """The labels of a room, and the scan after which it got them; one that only told the place may be newer."""
+
+    scan_id: str
+    counts: LabelCounts
+
+
+@dataclass(frozen=True)
 class Cycle:
     """One cycle of a room: the scan, the labels after it, and what was decided."""
 
@@ -132,10 +140,10 @@ class Survey:
         """Where the base stands, x and y; the origin before the first scan."""
         return self.track[-1][:2] if self.track else (0.0, 0.0)
 
-    def cycle_number(self, room_id: str) -> int:
-        """The cycle ``t`` of a room that its newest scan belongs to; counts from one."""
+    def cycle_number(self, room_id: str, scan_id: str | None = None) -> int:
+        """The cycle ``t`` of a room that a scan belongs to, the newest one if not named; counts from one."""
         newest = self.scans[-1].scan_id if self.scans else None
-        return 1 + sum(cycle.scan_id != newest for cycle in self.cycles.get(room_id, ()))
+        return 1 + sum(cycle.scan_id != (scan_id or newest) for cycle in self.cycles.get(room_id, ()))
 
     def scans_near(self, room_id: str) -> tuple[ScanRecord, ...]:
         """Scans of a room and of the rooms that a door joins it with: those that can have seen into it."""

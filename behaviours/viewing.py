@@ -8,7 +8,7 @@ from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from behaviours.mapping import poses
 from behaviours.scanning import StageLeaf
-from behaviours.survey import Avoided, Cycle, Survey, Target
+from behaviours.survey import Avoided, Cycle, Labelled, Survey, Target
 from perception import stopping
 from perception.findings import ViewChoice
 
@@ -16,7 +16,7 @@ from perception.findings import ViewChoice
 class ChooseView(StageLeaf):
     """Section 4.2: the candidate from which most occluded voxels would be seen, and all others' scores as evidence."""
 
-    reads = (Key.SURVEY, Key.ROOM)
+    reads = (Key.SURVEY, Key.ROOM, Key.COUNTS)
     writes = (Key.VIEW, Key.AVOID)
     stage = "choose_view"
 
@@ -28,7 +28,7 @@ class ChooseView(StageLeaf):
         room, driving = self.services.settings.room, self.services.settings.driving
         return {
             "room_id": room_id,
-            "cycle": survey.cycle_number(room_id),
+            "cycle": survey.cycle_number(room_id, self.read(Key.COUNTS).scan_id),
             "shape": survey.shapes[room_id],
             "scan_id": survey.scans[-1].scan_id,
             "pose": survey.track[-1],
@@ -62,9 +62,10 @@ class AssessRoom(Leaf):
     def step(self) -> Status:
         survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
         view: ViewChoice = self.read(Key.VIEW)
-        scan_id = survey.scans[-1].scan_id
+        labelled: Labelled = self.read(Key.COUNTS)
+        scan_id = labelled.scan_id
         earlier = tuple(cycle for cycle in survey.cycles.get(room_id, ()) if cycle.scan_id != scan_id)
-        history = [cycle.counts for cycle in earlier] + [self.read(Key.COUNTS)]
+        history = [cycle.counts for cycle in earlier] + [labelled.counts]
         decision = stopping.assess(
             history,
             view.best[0].gain if view.best else None,

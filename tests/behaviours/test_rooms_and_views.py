@@ -8,7 +8,7 @@ from py_trees.common import Status
 
 from behaviours.keys import Key
 from behaviours.rooms import BeginRoom, ChooseDoor, ChooseSuspect, DeferDoor, FindDoors, GiveUpRoom
-from behaviours.survey import Avoided, Survey, Target
+from behaviours.survey import Avoided, Labelled, Survey, Target
 from behaviours.viewing import AssessRoom, AvoidView, ChooseView
 from perception.building import Building
 from perception.failure import Failure
@@ -127,7 +127,12 @@ def test_views_are_avoided_until_their_time_and_no_longer() -> None:
     bench = Bench()
     bench.set_up(leaf)
     bench.clock.sleep(100.0)
-    put(SURVEY=first_room(), ROOM="R1", AVOID=(Avoided(1, 1, 99.0), Avoided(2, 2, 101.0)))
+    put(
+        SURVEY=first_room(),
+        ROOM="R1",
+        COUNTS=Labelled("S01", LabelCounts(1, 2, 3)),
+        AVOID=(Avoided(1, 1, 99.0), Avoided(2, 2, 101.0)),
+    )
     tick(leaf)
     assert bench.calls[-1][2]["avoid"] == [(2, 2, bench.services.settings.driving.avoid_radius_m)]
     assert get(Key.AVOID) == (Avoided(2, 2, 101.0),)
@@ -144,7 +149,8 @@ def test_a_view_that_could_not_be_reached_is_avoided_for_a_while() -> None:
 
 
 def assessed(survey: Survey, counts: LabelCounts, view: ViewChoice = VIEW, **values: object) -> Survey:
-    _, status = ticked(AssessRoom("assess"), survey, COUNTS=counts, VIEW=view, **values)
+    labelled = Labelled(survey.scans[-1].scan_id, counts)
+    _, status = ticked(AssessRoom("assess"), survey, COUNTS=labelled, VIEW=view, **values)
     assert status == Status.SUCCESS
     found: Survey = get(Key.SURVEY)
     return found

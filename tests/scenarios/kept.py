@@ -102,9 +102,9 @@ class WritingPerception(ScriptedPerception):
         write_arrays(self._folder.evidence_file(room_id, cycle, "flatness"), data=grid.data)
         return super().build_map(scan_id)
 
-    def label_space(self, cycle: int, room_id: str, **_: Any) -> Any:
+    def label_space(self, room_id: str, cycle: int, **_: Any) -> Any:
         write_arrays(self._folder.voxel_file(room_id, cycle), labels=np.zeros((3, 3, 3), np.uint8))
-        return super().label_space(cycle)
+        return super().label_space(room_id, cycle)
 
     def close(self) -> None:
         """There is no process."""

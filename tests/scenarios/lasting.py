@@ -18,9 +18,14 @@ class LastingBase(ScriptedBase):
             self._jobs[goal.goal_id] = super().drive(goal)
         return self._jobs[goal.goal_id]
 
+    def reboot(self, at: tuple[float, float, float] | None = None) -> None:
+        """Its next process knows no goal of the one before."""
+        super().reboot(at)
+        self._jobs.clear()
+
 
 class LastingScanner(ScriptedScanner):
-    """A scanner agent as it is: a name is taken once, unless what came of it is no scan."""
+    """A scanner agent as it is: a name is taken once, unless that was cancelled."""
 
     def __init__(self, base: ScriptedBase, script: Script) -> None:
         super().__init__(base, script)

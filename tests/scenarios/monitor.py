@@ -21,6 +21,7 @@ from perception.transforms import Matrix
 
 T = TypeVar("T")
 
+_ENDLESS = "this mission does not end"
 _NOT_WAITED_FOR = ("stop", "acquire", "release")
 """Orders that stand whether or not anybody hears the answer."""
 
@@ -58,13 +59,16 @@ class Monitor:
     """Records every call, and each breach of what must hold at all times and at the end.
 
     One monitor may watch over several lives of one mission's executive: :meth:`watch` begins each.
+
+    Args:
+        most_ticks: a life that takes so many never ends.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most_ticks: int = 3000) -> None:
         self.breaches: list[str] = []
-        self.taken: list[str] = []
-        self.driven: list[str] = []
         self.rooms_ended: dict[str, tuple[str, str]] = {}
+        self.registered: list[str] = []
+        self._most_ticks = most_ticks
         self._begin()
 
     def _begin(self) -> None:
@@ -116,7 +120,6 @@ class Monitor:
             self._expect((what, name) not in self._asked, f"{what} {name} was ordered twice")
             self._asked.add((what, name))
             self._expect(not self._under_way(other), f"{what} {name} was ordered during {self._under_way(other)}")
-            (self.taken if what == "take" else self.driven).append(name)
         if what == "take":
             self._expect(self.sensed is None or not self.sensed.moving, f"{name} was ordered while the base moves")
         if what in ("drive", "stop"):
@@ -133,14 +136,23 @@ class Monitor:
             self._expect(False, f"beat {tick} let the base move {reason}")
 
     def ticked(self, tick: int) -> None:
-        """After a tick: the base was told of it."""
+        """After a tick: the base was told of it, and they come to an end.
+
+        Raises:
+            AssertionError: where they do not; put on record before, because the executive ends in a fault by it.
+        """
         self._expect(bool(self.beats) and self.beats[-1] == tick, f"tick {tick} had no beat")
+        if tick >= self._most_ticks:
+            self.breaches.append(_ENDLESS)
+            raise AssertionError(_ENDLESS)
 
     def noted(self, kind: str, figures: dict[str, Any]) -> None:
         """An event has its place in the log."""
         self.events.append((kind, figures))
         if kind == "room_ended":
             self.rooms_ended[figures["room_id"]] = (figures["status"], figures["reason"])
+        if kind == "registered":
+            self.registered.append(figures["scan_id"])
 
     def _reasons_to_stand(self) -> list[str]:
         assert self.services is not None and self.executive is not None
@@ -180,11 +192,11 @@ class Monitor:
         """
         assert self.executive is not None
         self.assert_kept()
-        assert self.executive.course.state.phase in ENDED
+        assert self.executive.course.state.phase in ENDED, "the mission has no end"
         nodes = list(self.executive.root.iterate())
-        assert [node.name for node in nodes if node.status != Status.INVALID] == []
-        assert [job for job in self.jobs if not job.over and job.what not in _NOT_WAITED_FOR] == []
-        assert self.ordered[-1] == "stop"
+        assert [node.name for node in nodes if node.status != Status.INVALID] == [], "a node was not stopped"
+        assert [job for job in self.jobs if not job.over and job.what not in _NOT_WAITED_FOR] == [], "a job runs on"
+        assert self.ordered[-1:] == ["stop"], "the base was not told to stop at the end"
         assert [f"{row.kind} {row.name}" for row in rows if row.ended is None] == [], "a job has no end in the ledger"
         self._assert_log_is_whole()
         self._assert_nothing_is_lost(rows)
@@ -199,18 +211,19 @@ class Monitor:
         """Each node's changes follow upon each other and end; each room's last end is the one in the survey."""
         shown: dict[str, str] = {}
         for event in self.of("node"):
-            assert event["before"] == shown.get(event["path"], "INVALID")
+            assert event["before"] == shown.get(event["path"], "INVALID"), "a change of a node is not in the log"
             shown[event["path"]] = event["after"]
-        assert set(shown.values()) <= {"INVALID"}
-        rooms = self._survey.building.rooms
-        assert self.rooms_ended == {room.id: (room.status, room.reason) for room in rooms if room.status != "open"}
+        assert set(shown.values()) <= {"INVALID"}, "the end of a node is not in the log"
+        ended = {room.id: (room.status, room.reason) for room in self._survey.building.rooms if room.status != "open"}
+        assert self.rooms_ended == ended, "the log tells another end of a room"
 
     def _assert_nothing_is_lost(self, rows: list[JobRow]) -> None:
-        """Every scan with a pose was brought home, and has its pose once."""
+        """Every scan with a pose was brought home, has its pose once, and the log tells of each."""
         placed = [scan.scan_id for scan in self._survey.scans]
-        assert len(placed) == len(set(placed))
-        assert set(placed) <= {row.name for row in rows if row.kind == "fetch" and row.how == "done"}
-        assert {event["scan_id"] for event in self.of("registered")} <= set(placed)
+        assert len(placed) == len(set(placed)), "a scan has two poses"
+        home = {row.name for row in rows if row.kind == "fetch" and row.how == "done"}
+        assert set(placed) <= home, "a scan has a pose that was never brought home"
+        assert set(placed) == set(self.registered), "the scans with a pose are not those in the log"
 
     @property
     def _survey(self) -> Survey:

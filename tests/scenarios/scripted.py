@@ -36,7 +36,9 @@ MOUNT = transforms.planar(0.1, 0.0, 0.0) @ transforms.from_euler(0, 0, 0, (0, 0,
 ODOM_FROM_MAP = transforms.planar(5.0, -3.0, 0.7)
 """Odometry starts anywhere; nothing may take it for the map."""
 
-ONCE, TWICE, EVER = range(1, 2), range(1, 3), range(1, 10_000)
+FOR_GOOD = 10_000
+"""Calls, or ticks, that no mission has."""
+ONCE, TWICE, EVER = range(1, 2), range(1, 3), range(1, FOR_GOOD)
 HANG = object()
 """As an outcome: the job never ends."""
 
@@ -45,6 +47,8 @@ WORKER_S = 360.0
 
 SECONDS = {"take": 30.0, "drive": 30.0}
 """How long things take; 10 s where nothing is said."""
+ROLLS_ON_S = 15.0
+"""So long its wheels still turn after the base was last seen driving: at the next tick too."""
 
 
 class ScriptedJob:
@@ -102,7 +106,7 @@ class Way:
 class Script:
     """What happens at which call of an operation, and how often each was called.
 
-    Operations are ``take``, ``fetch``, ``drive``, ``stop`` and the names of the stages.
+    Operations are ``take``, ``fetch``, ``drive``, ``stop``, ``acquire``, ``release`` and the names of the stages.
     """
 
     clock: VirtualClock = field(default_factory=VirtualClock)
@@ -165,6 +169,8 @@ class ScriptedBase:
         self.was_placed = False
         self.has_slipped = False
         self._drives: list[ScriptedJob] = []
+        self._at_rest_from = 0.0
+        self._asked_for: list[ScriptedJob] = []
         self.beats: list[tuple[int, bool]] = []
         self._script = script
 
@@ -173,13 +179,17 @@ class ScriptedBase:
         return transforms.planar(*self.pose)
 
     def state(self) -> BaseState | None:
-        for job in self._drives:
+        now = self._script.clock.now()
+        if any(not job.over for job in self._drives):
+            self._at_rest_from = now + ROLLS_ON_S
+        for job in (*self._drives, *self._asked_for):
             job.settle()
-        age = 0.0 if self.silent_since is None else self._script.clock.now() - self.silent_since
+        age = 0.0 if self.silent_since is None else now - self.silent_since
         odometry = self.odom_from_map @ self.map_from_base
         return BaseState(
-            odometry, None, False, self.emergency_stop, self.battery, "idle", age, self.owner, f"boot {self.boots}"
-        )
+            odometry, None, now < self._at_rest_from, self.emergency_stop, self.battery, "idle", age,
+            self.owner, f"boot {self.boots}",
+        )  # fmt: skip
 
     def reboot(self, at: tuple[float, float, float] | None = None) -> None:
         """Its agent begins anew, where the base stands or where somebody has put it: odometry from zero, no owner."""
@@ -199,8 +209,8 @@ class ScriptedBase:
         self.has_slipped = True
 
     def acquire(self, owner: str) -> ScriptedJob:
-        self.owner = self.owner or owner
-        return self._script.job("acquire", lambda: Lease(self.boots, 1, owner))
+        self._asked_for.append(self._script.job("acquire", lambda: self._become_owned_by(owner)))
+        return self._asked_for[-1]
 
     def beat(self, tick: int, may_move: bool) -> None:
         assert not self.beats or tick > self.beats[-1][0], "the same tick beats once"
@@ -223,6 +233,12 @@ class ScriptedBase:
     def stop(self) -> ScriptedJob:
         self.commands.append("stop")
         return self._script.job("stop", lambda: None)
+
+    def _become_owned_by(self, owner: str) -> Lease | Failure:
+        if self.owner not in ("", owner):
+            return Failure("LEASE_HELD", f"the base belongs to {self.owner}")
+        self.owner = owner
+        return Lease(self.boots, 1, owner)
 
     def _arrive(self, goal: DriveGoal) -> DriveReport | Failure:
         if self.emergency_stop:
@@ -301,6 +317,7 @@ class ScriptedPerception:
         self.requests: list[tuple[str, dict[str, Any]]] = []
         self.guess_errors: list[tuple[float, float]] = []
         self.spoiled: dict[str, str] = {}
+        self._labelled: set[tuple[str, int]] = set()
         self._scanner = scanner
         self._script = script
 
@@ -347,11 +364,14 @@ class ScriptedPerception:
     def build_map(self, scan_id: str, **_: Any) -> MapSummary:
         return MapSummary(f"map_{scan_id}", 20.0, 2.0)
 
-    def label_space(self, cycle: int, **_: Any) -> LabelCounts:
+    def label_space(self, room_id: str, cycle: int, **_: Any) -> LabelCounts:
+        self._labelled.add((room_id, cycle))
         seen = self.seen[min(cycle, len(self.seen)) - 1]
         return LabelCounts(seen // 10, seen - seen // 10, 10_000 - seen)
 
-    def choose_view(self, shape: Any, stations: Any, avoid: Any, **_: Any) -> ViewChoice:
+    def choose_view(self, room_id: str, cycle: int, shape: Any, stations: Any, avoid: Any, **_: Any) -> ViewChoice:
+        if (room_id, cycle) not in self._labelled:
+            raise FailureError("PERC_EXCEPTION", f"{room_id} was never labelled in cycle {cycle}")
         taken = [(pose[0][3], pose[1][3], 0.5) for _, pose in stations]
         views = [
             Candidate(x, y, gain, 3.0)
@@ -366,6 +386,8 @@ class ScriptedPerception:
         return DoorFindings(tuple(passage.seen_from(room) for passage in passages if room in passage.rooms))
 
     def _room(self, shape: Any) -> str:
+        if len(shape.contour) < 3:
+            raise FailureError("PERC_EXCEPTION", f"{len(shape.contour)} corners are no outline of a room")
         return self.site.room_at(*shape.contour.mean(axis=0))
 
     def _found(self, scan_id: str, method: str) -> Registration:

@@ -8,10 +8,11 @@ import pytest
 
 from mission.operator import Word
 from perception.failure import Failure
+from tests.scenarios.lasting import LastingBase
 from tests.scenarios.play import Play
+from tests.scenarios.saga import Saga
 from tests.scenarios.scripted import EVER
 from tests.scenarios.site import row
-from tests.scenarios.test_resume import LastingBase, Saga
 
 LOST = Failure("REG_AMBIGUOUS", "as the script wants it")
 
@@ -81,6 +82,39 @@ def test_a_scan_after_the_base_began_anew_is_itself_what_tells_the_place() -> No
     assert_all_scans_are_in_place(play)
 
 
+def test_a_scan_that_only_told_the_place_is_no_cycle_of_the_room() -> None:
+    """Nothing was labelled after it, so it says nothing of how much there is left to see."""
+    play = Play(row(1))
+    rebooting(play, "label_space", call=1)
+    play.base.occupied = {row(1).views("A")[0]}
+    assert play.run() == "complete"
+    assert play.events.codes == ["NAV_BLOCKED"]
+    assert list(play.scanner.taken) == ["S01", "S02", "S03"]
+    (cycles,) = play.survey.cycles.values()
+    assert [cycle.scan_id for cycle in cycles] == ["S01", "S03"]
+    assert_all_scans_are_in_place(play)
+
+
+def test_a_base_that_begins_anew_while_its_place_is_looked_for_is_looked_for_again() -> None:
+    """What the scan finds is where it stood before that: no drive may set out from there."""
+    whole, play = Play(row(2)), Play(row(2))
+    assert whole.run() == "complete"
+    reboots = {("label_space", 2), ("register_globally", 1)}
+
+    def each_tick(play: Play, ticks: int) -> None:
+        for operation, call in list(reboots):
+            if play.calls[operation] == call:
+                reboots.remove((operation, call))
+                play.base.reboot()
+
+    play.each_tick = each_tick
+    assert play.run() == "complete"
+    assert reboots == set()
+    assert play.events.codes == ["NAV_INTERRUPTED"]
+    assert play.calls["take"] == whole.calls["take"] + 2
+    assert_all_scans_are_in_place(play)
+
+
 def lost(attended: bool, drive: int = 2) -> Play:
     """A base that begins anew in mid-drive, on its way to the door, and no scan finds its place after that."""
     play = Play(row(2), attended=attended)
@@ -138,21 +172,17 @@ def between_lives(folder: Path, befalls: Callable[[LastingBase], None], instant:
     assert saga.live(instant, after=instant % 2 == 0) == "killed"
     befalls(saga.base)
     assert saga.live() == "complete", instant
+    assert saga.survey.scans
     assert list(saga.scanner.taken) == sorted(set(saga.scanner.taken))
     for scan in saga.survey.scans:
         assert np.allclose(scan.map_from_base, saga.scanner.taken[scan.scan_id])
     return saga
 
 
-def reboots(base: LastingBase, at: tuple[float, float, float] | None = None) -> None:
-    """Its agent's next process knows no goal of the one before."""
-    base.reboot(at)
-    base._jobs.clear()
-
-
 def is_carried_by_hand(base: LastingBase) -> None:
+    """Switched off for it: its agent begins anew."""
     x, y, _ = base.pose
-    reboots(base, (x / 2, y / 2, 2.0))
+    base.reboot((x / 2, y / 2, 2.0))
 
 
 def is_pushed(base: LastingBase) -> None:
@@ -161,7 +191,7 @@ def is_pushed(base: LastingBase) -> None:
     base.pose = (x / 2 + 0.3, y / 2, 2.0)
 
 
-@pytest.mark.parametrize("befalls", [reboots, is_carried_by_hand])
+@pytest.mark.parametrize("befalls", [LastingBase.reboot, is_carried_by_hand])
 def test_a_mission_is_resumed_though_its_base_began_anew(befalls: Callable, tmp_path: Path) -> None:
     whole = Saga(tmp_path, row(2))
     assert whole.live() == "complete"
@@ -180,22 +210,25 @@ def test_a_robot_that_was_pushed_in_between_looks_around_before_it_moves(tmp_pat
 
 
 def test_what_a_life_found_out_about_the_place_the_next_one_knows(tmp_path: Path) -> None:
-    """Killed again and again, the base begun anew each time: every life tells the ones before it as they were."""
+    """Killed again and again, the base begun anew each time: every life tells the ones before it as they were.
+
+    Each life lasts for as long as it takes to look around and to drive.
+    """
     tmp_path.joinpath("saga").mkdir()
     saga = Saga(tmp_path / "saga", row(2))
     lives = 1
-    while saga.live(dies_at=9, after=lives % 2 == 0) == "killed":
-        reboots(saga.base)
+    while (end := saga.live(dies_at=17, after=lives % 2 == 0)) == "killed":
+        saga.base.reboot()
         lives += 1
-    assert lives > 5
+    assert (end, lives > 5, len(saga.survey.scans) > 0) == ("complete", True, True)
     for scan in saga.survey.scans:
         assert np.allclose(scan.map_from_base, saga.scanner.taken[scan.scan_id])
 
 
 def test_nothing_moves_and_nothing_is_scanned_for_the_place_before_the_operator_says_so(tmp_path: Path) -> None:
     saga = Saga(tmp_path, row(2))
-    saga.live(dies_at=30)
-    reboots(saga.base)
+    assert saga.live(dies_at=30) == "killed"
+    saga.base.reboot()
     before = len(saga.base.goals), len(saga.scanner.taken)
     seen = []
 
@@ -203,5 +236,5 @@ def test_nothing_moves_and_nothing_is_scanned_for_the_place_before_the_operator_
         seen.append((len(saga.base.goals), len(saga.scanner.taken)))
         (word.pause if ticks < 10 else word.resume)()
 
-    saga.live(each_tick=watch)
+    assert saga.live(each_tick=watch) == "complete"
     assert set(seen[:9]) == {before}

@@ -23,9 +23,6 @@ PERCEPTION = (
 )  # fmt: skip
 OPERATIONS = (*SCANNER, *BASE, *PERCEPTION)
 
-FOR_GOOD = 10**6
-"""Ticks, or calls, that no mission has."""
-
 _SPOILS = {
     "garbage": "SCAN_FOREIGN", "wrong units": "SCAN_UNITS", "truncated": "SCAN_TRUNCATED", "NaN": "SCAN_NOT_FINITE",
     "empty": "SCAN_EMPTY",
@@ -101,7 +98,9 @@ def _twisted(name: str, operation: str, play: Play, chance: random.Random) -> Wa
 def _rebooting(operation: str, play: Play) -> Way:
     def base(act: Callable[[], object]) -> object:
         play.base.reboot()
-        return Failure("NAV_STUCK", "the base restarted on its way", {"track": []})
+        if operation == "drive":
+            return Failure("NAV_INTERRUPTED", "the base began anew on its way", {"track": [], "distance": 0.0})
+        return Failure("AGENT_RESTARTED", "the base's agent restarted")
 
     if operation in BASE:
         return Way(base)
@@ -112,6 +111,7 @@ def _rebooting(operation: str, play: Play) -> Way:
 WAYS: dict[str, Callable[[str, Play, random.Random], object]] = {
     "off": lambda operation, play, chance: Way(_failing(operation)),
     "intermittent": lambda operation, play, chance: Way(_failing(operation)),
+    "unheard of": lambda operation, play, chance: Way(lambda _: Failure("UNHEARD_OF", "no recovery knows this")),
     "stuck": lambda operation, play, chance: HANG,
     "slow": lambda operation, play, chance: Way(seconds=lambda seconds: 8 * seconds),
     "delayed": lambda operation, play, chance: Way(seconds=lambda seconds: seconds + 200.0),
@@ -128,7 +128,7 @@ def ways_of(operation: str) -> list[str]:
 
 def befall(play: Play, operation: str, way: str, first: int, calls: int, chance: random.Random) -> None:
     """From the ``first`` call of an operation on, so many of them go wrong; every second one if intermittent."""
-    numbers: Iterable[int] = range(first, first + min(calls, 5000), 2 if way == "intermittent" else 1)
+    numbers: Iterable[int] = range(first, first + calls, 2 if way == "intermittent" else 1)
     play.script.answer(operation, WAYS[way](operation, play, chance), numbers)
 
 

@@ -2,16 +2,18 @@
 
 import random
 from dataclasses import dataclass
-from unittest.mock import patch
 
 from behaviours.settings import BatterySettings, ScanningSettings, Settings
-from tests.scenarios.faults import EVENTS, FOR_GOOD, OPERATIONS, Event, befall, ways_of
+from tests.scenarios.faults import EVENTS, OPERATIONS, Event, befall, ways_of
 from tests.scenarios.play import Play
+from tests.scenarios.scripted import EVER, FOR_GOOD
 from tests.scenarios.site import Site, row, star, twice_joined
 
 SETTINGS = Settings(ScanningSettings(room_s=900.0), battery=BatterySettings(charging_s=1800.0))
 """Holds that are waited for as long as it takes to tell that they end, and not for hours."""
 _MOST_TICKS = 5000
+_IN_THE_MIDST = 20
+"""A tick in which a mission of two rooms is well under way."""
 _OVER_BY_ITSELF = ("person", "pause")
 """Neither stands in the way for ever: the one goes on, the other is the operator's own."""
 _FINISHED_AFTER = ([9000, 9200], [9200, 9220], [6000, 8000, 9000, 9200, 9250])
@@ -73,21 +75,24 @@ def held(operation: str, way: str, attended: bool = False) -> Ordeal:
     play = Play(row(2), settings=SETTINGS, attended=attended, most_ticks=_MOST_TICKS)
     befall(play, operation, way, 1, FOR_GOOD, random.Random(operation + way))
     if operation == "register_globally":
-        play.script.fail("register_scan", "REG_LOW_OVERLAP", range(1, 5000))
+        play.script.fail("register_scan", "REG_LOW_OVERLAP", EVER)
+    if operation == "acquire":
+        play.base.reboot()
     return _fly(play, [f"{operation} {way}"])
 
 
-def lasting(name: str, tick: int = 20) -> Ordeal:
+def lasting(name: str) -> Ordeal:
     """Two rooms, and something around the robot that is never over, with nobody who answers a question."""
     play = Play(row(2), settings=SETTINGS, attended=True, most_ticks=_MOST_TICKS)
-    event = Event(name, *EVENTS[name](play, random.Random(name)), tick, FOR_GOOD)
+    event = Event(name, *EVENTS[name](play, random.Random(name)), _IN_THE_MIDST, FOR_GOOD)
     play.each_tick = event.at
-    return _fly(play, [f"{name} from tick {tick}"])
+    return _fly(play, [f"{name} from tick {_IN_THE_MIDST}"])
 
 
 def _fly(play: Play, faults: list[str]) -> Ordeal:
     try:
         outcome = play.run()
+        assert outcome != "fault", str(play.executive.course.state)
     except AssertionError as broken:
         broken.add_note("; ".join(faults))
         raise
@@ -114,17 +119,3 @@ def _happen(play: Play, chance: random.Random) -> Event:
     return Event(
         name, *EVENTS[name](play, chance), first, FOR_GOOD if for_good else first + chance.choice((1, 3, 10, 40))
     )
-
-
-def with_wall_clock_steps(play: Play, seed: int) -> Play:
-    """The same play while the clock on the wall jumps by up to an hour, to and fro, at every other tick."""
-    chance, offset, each_tick = random.Random(seed), [0.0], play.each_tick
-
-    def step(play: Play, ticks: int) -> None:
-        offset[0] = chance.uniform(-3600.0, 3600.0)
-        each_tick(play, ticks)
-
-    play.each_tick = step
-    with patch("time.time", lambda: 1.7e9 + offset[0]):
-        play.run()
-    return play

@@ -8,7 +8,7 @@ import pytest
 
 from behaviours.settings import OperatorSettings, Settings
 from tests.scenarios.play import Play
-from tests.scenarios.scripted import EVER, TWICE
+from tests.scenarios.scripted import EVER, FOR_GOOD, TWICE
 from tests.scenarios.site import row
 
 EachTick = Callable[[Play, int], None]
@@ -165,7 +165,7 @@ def test_a_released_stop_without_leave_to_go_on_ends_the_mission(word: str | Non
 
 
 def test_a_stop_that_is_never_released_ends_the_mission_within_its_bound() -> None:
-    play = Play(row(2), attended=True, each_tick=press(20, 10_000, None))
+    play = Play(row(2), attended=True, each_tick=press(20, FOR_GOOD, None))
     assert play.run() == "safety_stop"
     settings = play.settings
     bound = settings.building.release_s + settings.operator.patience_s
@@ -268,7 +268,7 @@ def test_the_base_may_not_move_while_a_question_is_open() -> None:
 # --- charge ---------------------------------------------------------------------------------------------------------
 
 
-def discharge(at: int, to: float, charged_after: int = 10_000) -> EachTick:
+def discharge(at: int, to: float, charged_after: int = FOR_GOOD) -> EachTick:
     def each_tick(play: Play, ticks: int) -> None:
         if ticks == at:
             play.base.battery = to

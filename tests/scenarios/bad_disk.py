@@ -1,4 +1,9 @@
-"""A disk that fails at its n-th operation below one folder, whoever asks: descriptors, streams and SQLite."""
+"""A disk that fails at its n-th operation below one folder, whoever asks: descriptors, streams and SQLite.
+
+Operations are to open a file for writing, to write, to make room for it, to bring it to the disk, to rename it, and
+SQLite's rows and ends of transactions. What asks a disk for no room to speak of never fails here: to make a folder, to
+cut a file short, to remove it.
+"""
 
 import errno
 import io
@@ -14,7 +19,7 @@ from unittest.mock import patch
 
 
 class Way(Enum):
-    """How it fails: full until somebody makes room, an error once, or no more than one byte taken once."""
+    """How it fails: full until somebody makes room, an error once, or no more than one byte taken of one write."""
 
     FULL = "ENOSPC"
     ERROR = "EIO"
@@ -27,14 +32,15 @@ class BadDisk:
     Args:
         folder: whose files lie on it.
         way: how it fails.
-        at: the number of the operation, from one; None for a disk that is good.
+        at: the number of the operation, from one; None for a disk that is good. Where it is no write and only a write
+            can fail in that way, the next write is meant.
     """
 
     def __init__(self, folder: Path, way: Way, at: int | None) -> None:
         self.operations = 0
         self.hit = ""
         self.full = False
-        self._folder = str(folder.resolve())
+        self._folder = folder.resolve()
         self._way = way
         self._at = at
 
@@ -46,17 +52,23 @@ class BadDisk:
         if not self.holds(path):
             return False
         self.operations += 1
-        if self.operations == self._at:
+        fails = self._is_due(what)
+        if fails:
             self.hit = f"{what} {Path(str(path)).name}"
             self.full = self._way is Way.FULL
             if self._way is Way.ERROR:
                 raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
         if self.full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        return self._way is Way.SHORT and self.operations == self._at
+        return fails and self._way is Way.SHORT
+
+    def _is_due(self, what: str) -> bool:
+        if self._at is None or self.hit or self.operations < self._at:
+            return False
+        return self._way is not Way.SHORT or what == "write"
 
     def holds(self, path: object) -> bool:
-        return str(path).startswith(self._folder)
+        return Path(str(path)).is_relative_to(self._folder)
 
     @contextmanager
     def mounted(self) -> Iterator["BadDisk"]:
@@ -91,7 +103,7 @@ class BadDisk:
             def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
                 if sql.startswith(("INSERT", "UPDATE", "COMMIT")):
                     try:
-                        disk.asked(sql.partition(" ")[0].lower(), Path(disk._folder) / "mission.db")
+                        disk.asked(sql.partition(" ")[0].lower(), disk._folder / "mission.db")
                     except OSError as error:
                         words = "database or disk is full" if error.errno == errno.ENOSPC else "disk I/O error"
                         raise sqlite3.OperationalError(words) from error

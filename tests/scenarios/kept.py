@@ -1,6 +1,7 @@
 """A whole mission as ``mission run`` flies it, run folder and all, with scripted devices that deliver real files."""
 
 import hashlib
+import json
 import logging
 import os
 import signal
@@ -24,7 +25,7 @@ from mission import run
 from mission.clock import MissionClock
 from mission.config import SiteConfig
 from mission.executive import TICK
-from mission.journal import read_events
+from mission.journal import JsonLines, plain, read_events
 from mission.ledger import Ledger
 from mission.run import Summary, run_mission
 from mission.store import RunFolder, save_grid, write_arrays
@@ -117,14 +118,16 @@ class Kept:
         folder: for the run and for the scanner's own disk.
     """
 
-    def __init__(self, folder: Path, site: Site | None = None) -> None:
-        site = site or row(1)
+    def __init__(self, folder: Path) -> None:
+        site = row(1)
         self.script = Script()
         self.run = RunFolder.at(folder / "run")
         self.base = LastingBase(site, self.script, OWNER)
         self.scanner = DeliveringScanner(self.base, self.script, folder / "scanner")
         self.perception = WritingPerception(site, self.scanner, self.script, self.run)
         self.errors: list[str] = []
+        self.recorded: list[dict[str, Any]] = []
+        self._at_risk: list[dict[str, Any]] = []
         self.room_after_ticks = ROOM_AFTER_TICKS
         self.abort_when_full = False
         self._full_for = 0
@@ -171,9 +174,21 @@ class Kept:
         stack.enter_context(
             patch.object(RunFolder, "free_gb", lambda _: 0.0 if disk is not None and disk.full else 100.0)
         )
+        self._note_events(stack, disk)
         handler = _Errors(self.errors)
         logging.getLogger().addHandler(handler)
         stack.callback(logging.getLogger().removeHandler, handler)
+
+    def _note_events(self, stack: ExitStack, disk: BadDisk | None) -> None:
+        """What is recorded, whatever becomes of it; all that is recorded while the disk is full may be lost."""
+        write = JsonLines.write
+
+        def noted(lines: JsonLines, event: dict[str, Any]) -> None:
+            self.recorded.append(json.loads(json.dumps(event, default=plain)))
+            write(lines, event)
+            self._at_risk += self.recorded[-1:] if disk is not None and disk.full else []
+
+        stack.enter_context(patch.object(JsonLines, "write", noted))
 
     @property
     def phases(self) -> list[str]:
@@ -196,7 +211,8 @@ class Kept:
         """Nothing half written under any name, each scan as the scanner has it, and the log as the ledger has it.
 
         Args:
-            refused: whether the disk refused some events for good: those are in one of both, in their order.
+            refused: whether the disk refused some events for good: those are in one of both, in their order, or were
+                recorded while it was full.
         """
         left = [path.name for path in self.run.path.rglob("*") if ".part" in path.name]
         assert left == []
@@ -207,13 +223,20 @@ class Kept:
             assert ledger.damage() == []
             rows, events = ledger.jobs(), list(ledger.events())
         assert [job.name for job in rows if job.ended is None] == []
-        log = read_events(self.run.events)
-        shared = [event for event in log if event in events] if refused else log
-        assert shared == ([event for event in events if event in log] if refused else events)
+        self._assert_all_is_logged(read_events(self.run.events), events, refused)
         for name in (job.name for job in rows if job.kind == "fetch" and job.how == "done"):
             stored = self.scanner.spool.find(name)
             assert stored is not None
             assert hashlib.sha256(self.run.scan_file(name).read_bytes()).hexdigest() == stored.receipt.sha256
+
+    def _assert_all_is_logged(self, log: list[dict[str, Any]], events: list[dict[str, Any]], refused: bool) -> None:
+        if not refused:
+            assert log == events == self.recorded
+            return
+        assert log == [event for event in self.recorded if event in log]
+        assert events == [event for event in self.recorded if event in events]
+        lost = [event for event in self.recorded if event not in log and event not in events]
+        assert [event for event in lost if event not in self._at_risk] == []
 
 
 class _Errors(logging.Handler):
@@ -260,6 +283,7 @@ def survive(folder: Path, way: Way, at: int, clean: list[str]) -> str:
     else:
         assert first.outcome == "complete", f"{first.outcome}: {first.rooms}"
     assert kept.base.commands[-1:] in ([], ["stop"])
+    assert disk.hit or way is Way.SHORT, "the mission ended before the disk failed"
     still_full = disk.full
     disk.make_room()
     if isinstance(first, FailureError) or first.outcome == "fault":
@@ -269,4 +293,6 @@ def survive(folder: Path, way: Way, at: int, clean: list[str]) -> str:
     assert list(kept.scanner.taken) == clean
     assert kept.errors == []
     kept.assert_folder_is_whole(refused=way is Way.ERROR or still_full)
+    if not disk.hit:
+        return "nothing: no write was left that could be cut short"
     return f"{disk.hit}: {first.failure.code if isinstance(first, FailureError) else kept.how(first)}"

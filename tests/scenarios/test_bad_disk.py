@@ -7,7 +7,7 @@ import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
@@ -19,32 +19,40 @@ from mission.run import Summary
 from perception.failure import FailureError
 from tests.scenarios.bad_disk import BadDisk, Way
 from tests.scenarios.kept import Kept, survive
+from tests.scenarios.scripted import FOR_GOOD
 
-SAMPLES = 4
+pytestmark = pytest.mark.xdist_group("bad disk")
+"""Its fixture is a whole mission: one process flies it for all."""
 
 
-@cache
-def clean(folder: Path) -> tuple[int, list[str]]:
-    """Operations of a mission with a good disk, and its scans."""
-    kept = Kept(folder)
-    disk = BadDisk(kept.run.path, Way.FULL, None)
-    assert isinstance(kept.fly(disk), Summary)
-    kept.assert_folder_is_whole()
-    return disk.operations, list(kept.scanner.taken)
+@dataclass(frozen=True)
+class Undisturbed:
+    """A mission with a good disk: how often it asks the disk, and its scans."""
+
+    operations: int
+    scans: list[str]
+
+    def after(self, share: float) -> int:
+        """The operation after so large a share of them."""
+        return 1 + int(share * self.operations)
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, list[str]]:
-    return clean(tmp_path_factory.mktemp("clean"))
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
+    kept = Kept(tmp_path_factory.mktemp("clean"))
+    disk = BadDisk(kept.run.path, Way.FULL, None)
+    assert isinstance(kept.fly(disk), Summary)
+    kept.assert_folder_is_whole()
+    return Undisturbed(disk.operations, list(kept.scanner.taken))
 
 
 @pytest.mark.parametrize("way", Way, ids=lambda way: way.name)
-@pytest.mark.parametrize("sample", range(SAMPLES))
+@pytest.mark.parametrize("share", [0.12, 0.38, 0.63, 0.89])
 def test_whatever_operation_fails_the_mission_keeps_every_scan_and_goes_on_or_is_resumed(
-    way: Way, sample: int, undisturbed: tuple[int, list[str]], tmp_path: Path
+    way: Way, share: float, undisturbed: Undisturbed, tmp_path: Path
 ) -> None:
-    operations, scans = undisturbed
-    survive(tmp_path, way, 1 + (operations * (2 * sample + 1) // (2 * SAMPLES) + 11 * sample) % operations, scans)
+    told = survive(tmp_path, way, undisturbed.after(share), undisturbed.scans)
+    assert not told.startswith("nothing")
 
 
 @contextmanager
@@ -86,10 +94,10 @@ def test_a_map_that_is_never_written_is_the_reason_why_its_room_is_partial(tmp_p
     assert len(refused) == 3
 
 
-def test_a_disk_that_stays_full_ends_the_mission_with_the_reason(tmp_path: Path) -> None:
+def test_a_disk_that_stays_full_ends_the_mission_with_the_reason(undisturbed: Undisturbed, tmp_path: Path) -> None:
     kept = Kept(tmp_path)
-    kept.room_after_ticks = 10_000
-    disk = BadDisk(kept.run.path, Way.FULL, 300)
+    kept.room_after_ticks = FOR_GOOD
+    disk = BadDisk(kept.run.path, Way.FULL, undisturbed.after(0.3))
     summary = kept.fly(disk)
     assert isinstance(summary, Summary)
     assert summary.outcome == "safety_stop"
@@ -100,12 +108,12 @@ def test_a_disk_that_stays_full_ends_the_mission_with_the_reason(tmp_path: Path)
     assert (again.outcome, list(kept.scanner.taken)) == ("complete", ["S01", "S02"])
 
 
-def test_an_abort_on_a_full_disk_is_an_abort(tmp_path: Path) -> None:
+def test_an_abort_on_a_full_disk_is_an_abort(undisturbed: Undisturbed, tmp_path: Path) -> None:
     """What it gives up cannot be written down any more; it ends as it was told, and is taken up where it was left."""
     kept = Kept(tmp_path)
-    kept.room_after_ticks = 10_000
+    kept.room_after_ticks = FOR_GOOD
     kept.abort_when_full = True
-    disk = BadDisk(kept.run.path, Way.FULL, 420)
+    disk = BadDisk(kept.run.path, Way.FULL, undisturbed.after(0.4))
     summary = kept.fly(disk)
     assert isinstance(summary, Summary)
     assert summary.outcome == "aborted"
@@ -136,3 +144,18 @@ def test_the_disk_counts_what_is_asked_of_it_and_of_nobody_else(tmp_path: Path) 
         with pytest.raises(OSError, match="No space"):
             (tmp_path / "here" / "file").write_bytes(b"x")
     assert (disk.operations, disk.hit) == (2, "write file")
+
+
+def test_a_folder_of_a_longer_name_lies_on_another_disk(tmp_path: Path) -> None:
+    disk = BadDisk(tmp_path / "here", Way.FULL, None)
+    assert disk.holds(tmp_path / "here" / "file")
+    assert not disk.holds(tmp_path / "here too" / "file")
+
+
+def test_a_write_is_cut_short_also_where_the_operation_meant_is_none(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    disk = BadDisk(tmp_path / "here", Way.SHORT, 1)
+    with disk.mounted():
+        (tmp_path / "here" / "file").write_bytes(b"whole all the same")
+    assert disk.hit == "write file"
+    assert (tmp_path / "here" / "file").read_bytes() == b"whole all the same"

@@ -4,6 +4,7 @@ import json
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 GRACE_S = 600.0
@@ -11,21 +12,27 @@ GRACE_S = 600.0
 _GLANCE_S = 1.0
 
 
-def deserted(served: Path, grace: float = GRACE_S) -> threading.Event:
+def deserted(
+    served: Path,
+    grace: float = GRACE_S,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> threading.Event:
     """An event that is set when nobody has run the mission for so long.
 
     Args:
         served: a JSON file in which whoever runs it names his ``pid``; another may take his place.
         grace: seconds without such a process, the time before the first one too.
+        clock, wait: tell and pass the time.
     """
     over = threading.Event()
 
     def watch() -> None:
-        seen = time.monotonic()
-        while time.monotonic() - seen < grace:
-            time.sleep(min(_GLANCE_S, grace / 4))
+        seen = clock()
+        while clock() - seen < grace:
+            wait(min(_GLANCE_S, grace / 4))
             if _is_served(served):
-                seen = time.monotonic()
+                seen = clock()
         over.set()
 
     threading.Thread(target=watch, name="desertion", daemon=True).start()

@@ -14,7 +14,7 @@ from tests.drivers.dead_man import FAULTS, Bench, bench, halts_by, halts_by_kill
 from tests.drivers.wire_fakes import IMPATIENT, eventually, failure_of, value_of
 
 pytestmark = pytest.mark.xdist_group("dead man")
-"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+"""Its fixture is a base on real time, which nobody else should keep from the processor: one process has it."""
 
 ROUNDS = 3
 

@@ -4,11 +4,12 @@ import json
 import os
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
-from drivers.simulated.desertion import deserted
-from tests.drivers.wire_fakes import eventually
+import pytest
+
+from drivers.simulated.desertion import GRACE_S, deserted
 
 
 def serve(file: Path, pid: int) -> None:
@@ -22,22 +23,42 @@ def gone() -> int:
     return process.pid
 
 
+class Watch:
+    """A clock that advances when it is waited by, and what befalls at which second of it."""
+
+    def __init__(self, befalls: dict[float, Callable[[], None]]) -> None:
+        self.seconds = 0.0
+        self._befalls = dict(befalls)
+
+    def now(self) -> float:
+        return self.seconds
+
+    def wait(self, seconds: float) -> None:
+        self.seconds += seconds
+        for due in [at for at in self._befalls if at <= self.seconds]:
+            self._befalls.pop(due)()
+
+
+def deserted_after(file: Path, befalls: dict[float, Callable[[], None]]) -> float:
+    """Seconds after which the agent ends."""
+    watch = Watch(befalls)
+    assert deserted(file, GRACE_S, watch.now, watch.wait).wait(20.0)
+    return watch.seconds
+
+
 def test_an_agent_ends_when_its_mission_was_left_for_long_enough(tmp_path: Path) -> None:
     file = tmp_path / "control.json"
     serve(file, gone())
-    over = deserted(file, grace=0.4)
-    assert not over.wait(0.2)
-    eventually(over.is_set)
+    assert deserted_after(file, {}) == pytest.approx(GRACE_S, abs=1.0)
 
 
 def test_an_agent_stays_with_whoever_runs_its_mission(tmp_path: Path) -> None:
-    file = tmp_path / "control.json"
+    """One runs it for long, then nobody; another takes it up in time, and leaves it for good."""
+    file, nobody = tmp_path / "control.json", gone()
     serve(file, os.getpid())
-    over = deserted(file, grace=0.3)
-    assert not over.wait(0.9)
-    serve(file, gone())
-    time.sleep(0.15)
-    serve(file, os.getpid())  # somebody else takes it up
-    assert not over.wait(0.9)
-    file.unlink()
-    eventually(over.is_set)
+    befalls: dict[float, Callable[[], None]] = {
+        2 * GRACE_S: lambda: serve(file, nobody),
+        2.9 * GRACE_S: lambda: serve(file, os.getpid()),
+        5 * GRACE_S: file.unlink,
+    }
+    assert deserted_after(file, befalls) == pytest.approx(6 * GRACE_S, abs=2.0)

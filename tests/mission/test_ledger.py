@@ -232,10 +232,9 @@ def test_a_driver_that_breaks_has_failed_now_and_when_it_is_told_again(
     assert row.how == "failed"
 
 
-@pytest.mark.parametrize("words", ["disk I/O error", "database or disk is full"])
-def test_a_ledger_that_could_not_be_opened_keeps_nobody_out(path: Path, words: str) -> None:
-    codes = {"disk I/O error": "IO_ERROR", "database or disk is full": "DISK_FULL"}
-    with pytest.MonkeyPatch().context() as patch, pytest.raises(FailureError, match=codes[words]) as refused:
+@pytest.mark.parametrize(("words", "code"), [("disk I/O error", "IO_ERROR"), ("database or disk is full", "DISK_FULL")])
+def test_a_ledger_that_could_not_be_opened_keeps_nobody_out(path: Path, words: str, code: str) -> None:
+    with pytest.MonkeyPatch().context() as patch, pytest.raises(FailureError, match=code) as refused:
         patch.setattr(Ledger, "_open", lambda self: (_ for _ in ()).throw(sqlite3.OperationalError(words)))
         Ledger(path)
     assert refused.value.failure.evidence["path"] == str(path)

@@ -20,7 +20,7 @@ from tests.perception import rooms
 from tests.shared_data import SCANS
 
 pytestmark = pytest.mark.xdist_group("processed")
-"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+"""Its fixture is two scans taken through the whole pipeline: one process makes it for all."""
 
 PLACES = ((2.0, 2.5, 0.2), (4.4, 1.6, -0.3))
 

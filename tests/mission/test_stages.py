@@ -23,7 +23,7 @@ from tests.perception import rooms
 from tests.synthetic import Scene, box
 
 pytestmark = pytest.mark.xdist_group("surveyed")
-"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+"""Its fixture is every stage of two scans: one process makes it for all."""
 
 MOUNT = transforms.from_euler(0, 0, 0, (0, 0, 1.3))
 PATTERN = BeamPattern.with_step(np.deg2rad(0.8), (np.deg2rad(-40), np.deg2rad(60)), (0.5, 120.0))

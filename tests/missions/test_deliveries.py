@@ -19,7 +19,7 @@ from perception.grids import Cell, Label
 from tests.missions.flights import ROOT, Flight, is_listening
 
 pytestmark = pytest.mark.xdist_group("flown")
-"""Its fixture is a whole flight or pipeline: one process makes it for all."""
+"""Its fixture is a whole flight: one process makes it for all."""
 
 ROOM_KEYS = ["id", "scans", "reason_ended", "growing_rate", "occluded_decrease_rate"]
 EVALUATION_KEYS = [

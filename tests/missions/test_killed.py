@@ -21,9 +21,7 @@ def test_a_mission_whose_executive_was_killed_is_resumed_to_its_end(instant: str
     assert mission("fsck", run).wait() == 0
     looks_around = instant == "drive under the door"
     if looks_around:
-        with orphans_ended(RunFolder(run)):
-            """The agents are gone as well: others are started, and the simulated robot stands where it stood."""
-
+        end_agents(run)
     flight = landed(mission("resume", run, "--auto-resume", "--json"), tmp_path)
     assert flight.code == 0, flight.stderr
     assert flight.said["outcome"] == "complete"
@@ -39,6 +37,12 @@ def test_a_mission_whose_executive_was_killed_is_resumed_to_its_end(instant: str
     assert ("NAV_INTERRUPTED" in [event["code"] for event in flight.events_of("failure")]) == looks_around
     config = load_config(run / "config.yaml")
     assert not any(map(is_listening, (config.scanner.control, config.base.control)))
+
+
+def end_agents(run: Path) -> None:
+    """They are gone as well: others are started, and the simulated robot stands where it stood."""
+    with orphans_ended(RunFolder(run)):
+        pass
 
 
 def test_a_run_that_lost_a_scan_says_so_and_is_not_taken_up(tmp_path: Path) -> None:

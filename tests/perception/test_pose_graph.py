@@ -101,6 +101,7 @@ def test_one_grossly_false_comparison_is_disbelieved_and_changes_nothing(seed, e
     others = [pair for pair in pairs if (pair.target, pair.source) != (a, b)]
     found, without = pose_graph.optimise(chain, [*others, false]), pose_graph.optimise(chain, others)
     assert (a, b) in found.disbelieved
+    assert worst(found.poses, without.poses) < 0.001
     assert worst(found.poses, truth) < worst(without.poses, truth) + 0.001
 
 

@@ -7,13 +7,15 @@ Every cable between them is a :class:`~tests.drivers.chaos_link.ChaosLink`. Shar
 import json
 import time
 from collections import Counter
-from contextlib import ExitStack, closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from behaviours.services import Services
 from behaviours.settings import Settings
+from behaviours.survey import Survey
 from drivers.agent import base_agent, scanner_agent
 from drivers.devices import BaseTelemetry
 from drivers.interfaces import BaseInfo, DriveGoal, DriveReport, ScannerInfo, ScanSettings
@@ -94,7 +96,7 @@ class BaseAtSite:
 
 
 class ScannerAtSite:
-    """A :class:`~drivers.devices.ScannerDevice` on that base; its scans are noise, but from a known place."""
+    """A :class:`~drivers.devices.ScannerDevice` there; it knows where each scan was taken, and delivers noise."""
 
     def __init__(self, base: ScriptedBase, script: Script) -> None:
         self.known = ScriptedScanner(base, script)
@@ -155,54 +157,88 @@ class Flown:
         return [name for name, count in self.executed.items() if count > 1]
 
 
-def fly(folder: Path, seed: str = "", mischief: Mischief = NONE, site: Site | None = None) -> Flown:
-    """One mission over links of such mischief."""
+@dataclass(frozen=True)
+class Rig:
+    """Both devices with their agents, and the links that an executive reaches them by."""
+
+    base: BaseAtSite
+    scanner: ScannerAtSite
+    links: dict[str, ChaosLink]
+
+    @classmethod
+    @contextmanager
+    def up(cls, folder: Path, script: Script, seed: str, mischief: Mischief) -> Iterator["Rig"]:
+        """All of it up; the scanner's own disk is in the folder."""
+        base = BaseAtSite(row(2), script)
+        scanner = ScannerAtSite(base.body, script)
+        with ExitStack() as stack:
+            scanner_up = stack.enter_context(scanner_agent(scanner, ANYWHERE, folder / "spool")).endpoints
+            base_up = stack.enter_context(base_agent(base, ANYWHERE)).endpoints
+            ends = {
+                "scanner control": scanner_up.control,
+                "scanner bulk": scanner_up.bulk,
+                "base control": base_up.control,
+                "base telemetry": base_up.telemetry,
+            }
+            links = {
+                name: stack.enter_context(ChaosLink(end, f"{seed} {name}", mischief, name == "base telemetry"))
+                for name, end in ends.items()
+            }
+            yield cls(base, scanner, links)
+
+    def scanner_client(self) -> ScannerClient:
+        return ScannerClient(Endpoints(self._near("scanner control"), bulk=self._near("scanner bulk")))
+
+    def base_client(self) -> BaseClient:
+        return BaseClient(Endpoints(self._near("base control"), telemetry=self._near("base telemetry")))
+
+    @property
+    def executed(self) -> Counter[str]:
+        return self.base.executed + self.scanner.executed
+
+    @property
+    def befell(self) -> Counter[str]:
+        return sum((link.befell for link in self.links.values()), Counter())
+
+    def _near(self, link: str) -> str:
+        return self.links[link].endpoint
+
+
+def fly(folder: Path, seed: str = "", mischief: Mischief = NONE) -> Flown:
+    """One mission over links of such mischief.
+
+    Raises:
+        AssertionError: where it takes too long, or ends in a fault.
+    """
     began = time.monotonic()
     script = Script(clock=ScaledClock(1000.0))
-    device = BaseAtSite(site or row(2), script)
-    scanner_device = ScannerAtSite(device.body, script)
+    clock = MissionClock(wait=lambda seconds: time.sleep(seconds / _QUICKER))
+    events = Events(clock)
     folder.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        scanner_up = stack.enter_context(scanner_agent(scanner_device, ANYWHERE, folder / "spool"))
-        base_up = stack.enter_context(base_agent(device, ANYWHERE))
-        ends = {
-            "scanner control": scanner_up.endpoints.control,
-            "scanner bulk": scanner_up.endpoints.bulk,
-            "base control": base_up.endpoints.control,
-            "base telemetry": base_up.endpoints.telemetry,
-        }
-        links = {
-            name: stack.enter_context(ChaosLink(end, f"{seed} {name}", mischief, name == "base telemetry"))
-            for name, end in ends.items()
-        }
-        near = {name: link.endpoint for name, link in links.items()}
-        scanner = ScannerClient(Endpoints(near["scanner control"], bulk=near["scanner bulk"]))
-        base = BaseClient(Endpoints(near["base control"], telemetry=near["base telemetry"]))
-        stack.enter_context(closing(base))
-        clock = MissionClock(wait=lambda seconds: time.sleep(seconds / _QUICKER))
-        events = Events(clock)
-        perception = ScriptedPerception(device.body.site, scanner_device.known, script)
-        lease = stack.enter_context(ownership(base))
-        services = Services(
-            scanner, base, perception, clock, events, Floor(folder), Settings(),
-            Desk(clock, events, False), owner=lease.owner,
-        )  # fmt: skip
-        executive = Executive(create_root(), services, clock, after_tick=lambda _: _still_young(began))
-        outcome = executive.run()
-        befell = sum((link.befell for link in links.values()), Counter())
-    goals = [(goal.goal_id, round(goal.x, 9), round(goal.y, 9)) for goal in device.body.goals]
-    survey = describe(executive.survey)
-    for scan in survey["scans"]:
-        del scan["started"], scan["ended"]  # the only figures that may depend on the day
-    result = json.loads(json.dumps([outcome, survey, goals], default=plain))
-    executed = device.executed + scanner_device.executed
-    return Flown(
-        result,
-        executed,
-        befell,
-        [f"{event['code']}: {event['message']}" for event in events.of("failure")],
-        time.monotonic() - began,
-    )
+    with Rig.up(folder, script, seed, mischief) as rig:
+        with closing(rig.base_client()) as base, ownership(base) as lease:
+            perception = ScriptedPerception(rig.base.body.site, rig.scanner.known, script)
+            services = Services(
+                rig.scanner_client(), base, perception, clock, events, Floor(folder), Settings(),
+                Desk(clock, events, False), owner=lease.owner,
+            )  # fmt: skip
+            root = create_root(services.settings)
+            executive = Executive(root, services, clock, after_tick=lambda _: _still_young(began))
+            outcome = executive.run()
+        befell = rig.befell
+    assert outcome != "fault", str(executive.course.state)
+    failures = [f"{event['code']}: {event['message']}" for event in events.of("failure")]
+    result = _whatever_the_links(outcome, executive.survey, rig.base.body.goals)
+    return Flown(result, rig.executed, befell, failures, time.monotonic() - began)
+
+
+def _whatever_the_links(outcome: str, survey: Survey, goals: list[DriveGoal]) -> Any:
+    """What a mission came to, but for the figures that may depend on the day."""
+    told = describe(survey)
+    for scan in told["scans"]:
+        del scan["started"], scan["ended"]
+    places = [(goal.goal_id, round(goal.x, 9), round(goal.y, 9)) for goal in goals]
+    return json.loads(json.dumps([outcome, told, places], default=plain))
 
 
 def _still_young(began: float) -> None:

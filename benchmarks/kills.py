@@ -190,6 +190,10 @@ class Flight:
         """How often each goal was begun; a base that is killed on its way never writes that a drive ended."""
         return Counter(str(event["goal_id"]) for event in self.truth if event["event"] == "drive_begun")
 
+    def failures(self) -> list[str]:
+        """What failed on the way, in the mission's words."""
+        return [f"{event['code']}: {event['message']}" for event in self.events if event["kind"] == "failure"]
+
     def work_s(self) -> float:
         """Seconds of the wall from the first scan's order to the mission's end, both by the mission's clock."""
         ordered = next(event["t"] for event in self.events if event.get("node") == _FIRST_SCAN)
@@ -227,7 +231,7 @@ def broken_promises(flight: Flight, whole: Flight | None) -> list[str]:
         found += [f"a pose is {worst:.3f} m off"] * (worst > POSE_M)
     if whole is not None:
         found += _unlike(flight, whole)
-    return found
+    return found and [*found, *flight.failures()]
 
 
 def _unlike(flight: Flight, whole: Flight) -> list[str]:

@@ -156,7 +156,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises:
         FailureError: ``DISK_FULL``, ``IO_ERROR``.
     """
-    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
+    # Of its own, for the worker of an executive that was killed may write the same file for a moment more.
+    partial = path.with_name(f"{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
         with writing(path):
             yield partial

@@ -21,6 +21,8 @@ from perception.failure import Failure, FailureError
 NICENESS = 5
 """The tick loop, whose beats keep the base going, wins a core from the worker; an idle one is all the worker's."""
 
+_GLANCE_S = 0.5
+
 
 class PerceptionWorker:
     """Runs the stages of :mod:`mission.stages` on the files of a run.
@@ -96,7 +98,7 @@ class _StageJob:
             return self._failed(error.failure)
         except DeadlineError:
             return self._again_or(Failure("PERC_TIMEOUT", f"{self._stage} did not end within its deadline"))
-        except (ProcessExpired, BrokenProcessPool, OSError) as error:
+        except (ProcessExpired, BrokenProcessPool) as error:
             return self._again_or(Failure("PERC_DIED", f"the worker died during {self._stage}: {error}"))
         except Exception as error:
             trace = getattr(error, "traceback", "")
@@ -129,6 +131,14 @@ def _settle() -> None:
     # Ctrl-C reaches every process of a terminal; whether a stage ends for it is the mission's to say.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
+    threading.Thread(target=_end_with, args=[os.getppid()], daemon=True).start()
+
+
+def _end_with(executive: int) -> None:
+    """A stage whose executive was killed would end in nobody's hands, beside that of the one that took its place."""
+    while os.getppid() == executive:
+        time.sleep(_GLANCE_S)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _new_pool() -> ProcessPool:

@@ -68,6 +68,20 @@ def test_a_writer_that_is_cut_off_is_never_read(tmp_path: Path, monkeypatch: pyt
     assert store.read_arrays(path)["a"].tolist() == [1, 2]
 
 
+def test_two_processes_that_write_the_same_file_do_not_mix_what_they_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.txt"
+    with store.whole_file(path) as ours:
+        ours.write_text("ours")
+        with monkeypatch.context() as elsewhere:
+            elsewhere.setattr("os.getpid", lambda: 1)
+            store.write_text(path, "theirs, longer", durably=False)
+        assert path.read_text() == "theirs, longer"
+    assert path.read_text() == "ours"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_arrays_that_would_execute_something_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "evil.npz"
     np.savez(path, a=np.array([{"a": 1}], dtype=object))

@@ -3,6 +3,8 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -149,3 +151,21 @@ def test_closing_leaves_no_process_behind_even_in_the_middle_of_a_stage(
     worker.close()
     assert not is_alive(process)
     assert multiprocessing.active_children() == []
+
+
+def test_a_worker_does_not_outlive_an_executive_that_is_killed(tmp_path: Path) -> None:
+    lead = "import sys, pathlib; from tests.mission.worker_stages import lead; lead(pathlib.Path(sys.argv[1]))"
+    executive = subprocess.Popen([sys.executable, "-c", lead, str(tmp_path)], cwd=Path(__file__).parents[2])
+    process = wait_for(tmp_path / "hanging")
+    executive.kill()
+    executive.wait()
+    end = time.monotonic() + 20
+    while is_alive(process):
+        assert time.monotonic() < end, "its worker works on"
+        time.sleep(0.05)
+
+
+def test_a_stage_that_misses_a_file_is_no_dead_worker(worker: PerceptionWorker) -> None:
+    failure = failure_of(worker.submit("open_what_is_not_there"))
+    assert failure.code == "PERC_EXCEPTION"
+    assert "M07.npz" in failure.message

@@ -4,14 +4,25 @@ import os
 import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+from mission import worker as module
 from perception.failure import FailureError
 
 
 def run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, float]:
     """What the worker's process calls, in place of :func:`mission.worker._run_stage`."""
     return STAGES[stage](Path(run), **arguments), 0.125
+
+
+def lead(run: Path) -> None:
+    """An executive whose worker hangs."""
+    module._run_stage = run_stage
+    job = module.PerceptionWorker(run, SimpleNamespace(record=print)).submit("hang")
+    while True:
+        job.poll()
+        time.sleep(0.1)
 
 
 def add(run: Path, a: int, b: int, **_: Any) -> int:
@@ -49,6 +60,10 @@ def hang(run: Path) -> None:
     time.sleep(60)
 
 
+def open_what_is_not_there(run: Path) -> None:
+    (run / "M07.npz").open()
+
+
 STAGES = {
     "add": add,
     "process_id": process_id,
@@ -57,4 +72,5 @@ STAGES = {
     "break_down": break_down,
     "die": die,
     "hang": hang,
+    "open_what_is_not_there": open_what_is_not_there,
 }

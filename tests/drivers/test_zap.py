@@ -157,7 +157,7 @@ def test_an_agent_whose_judge_died_stops_the_device_and_ends(keyrings):
             serve_base(device, ANYWHERE, announced.append, keyring=own)
         ended.append(True)
 
-    thread = threading.Thread(target=process)
+    thread = threading.Thread(target=process, daemon=True)
     thread.start()
     eventually(lambda: announced)
     own.dies = True

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -137,7 +137,8 @@ def serving(console: Console, run: Path) -> Iterator[None]:
         finally:
             server.close()
     finally:
-        address.unlink(missing_ok=True)
+        with suppress(OSError):  # one that stays names a process that is gone
+            address.unlink(missing_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -193,7 +194,8 @@ def _is_alive(pid: int) -> bool:
 
 
 def _write_private(path: Path, text: str) -> None:
-    path.unlink(missing_ok=True)  # left by an executive that was killed
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with writing(path), os.fdopen(handle, "w", encoding="utf-8") as stream:
-        stream.write(text)
+    with writing(path):
+        path.unlink(missing_ok=True)  # left by an executive that was killed
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)

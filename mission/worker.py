@@ -22,6 +22,7 @@ NICENESS = 5
 """The tick loop, whose beats keep the base going, wins a core from the worker; an idle one is all the worker's."""
 
 _GLANCE_S = 0.5
+"""How often the worker looks whether its executive still lives."""
 
 
 class PerceptionWorker:

@@ -5,6 +5,7 @@ a gap that the robot fits through. Windows, niches, cupboards, mirrors and steps
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from perception.openings import (
     thickness_of,
 )
 from perception.passage import passage
-from perception.rays.wall_evidence import CELL, Beam, Wall, gather, local_points, walls_of
+from perception.rays.wall_evidence import CELL, Beam, gather, local_points, walls_of
 from perception.scan import Scan
 from perception.transforms import Matrix
 from perception.views import Views
@@ -70,7 +71,8 @@ def find_doors(
         refused += [(guessed(wall, evidence, part), HIDDEN) for part in half_hidden(columns, evidence, gates)]
         for left, right in holes(columns, gates):
             if views is None:
-                views, deeper = _seen_from_wall(wall, cloud), gather(wall.moved(gates.free_depth), scans, ranges)
+                views = cloud.moved(partial(local_points, wall))
+                deeper = gather(wall.moved(gates.free_depth), scans, ranges)
             opening = measured(wall, evidence, deeper, left, right, views)
             door, gate = _judge(opening, robot_width, gates)
             if gate is None:
@@ -93,12 +95,6 @@ def _surroundings(shape: RoomShape, scans: Sequence[tuple[Scan, Matrix]]) -> Vie
     # Small numbers, for there are tens of millions of them.
     station_of = np.repeat(np.arange(len(clouds), dtype=np.int16), [len(cloud) for cloud in clouds])
     return Views(np.concatenate(clouds), stations, station_of)
-
-
-def _seen_from_wall(wall: Wall, cloud: Views) -> Views:
-    """The cloud as (u, d, z) of a wall."""
-    assert cloud.stations is not None
-    return Views(local_points(wall, cloud.points), local_points(wall, cloud.stations), cloud.station_of)
 
 
 def _judge(opening: Opening, robot_width: float, gates: DoorGates) -> tuple[Door, str | None]:

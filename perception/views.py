@@ -1,5 +1,6 @@
 """Points of the cloud P(t), and the stations that they were seen from: what a point says depends on who saw it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +9,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Views:
-    """Points ``(N, 3)`` of the map frame, and where they were seen from, if known.
+    """Points ``(N, 3)`` of any one frame, and where they were seen from, if known.
 
     Args:
         points: in the order of their stations.
-        stations: ``(S, 3)``.
+        stations: ``(S, 3)``, of the same frame.
         station_of: ``(N,)`` row of ``stations``, ascending.
     """
 
@@ -30,3 +31,8 @@ class Views:
     def subset(self, mask: NDArray[np.bool_]) -> "Views":
         rows = None if self.station_of is None else self.station_of[mask]
         return Views(self.points[mask], self.stations, rows)
+
+    def moved(self, change: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "Views":
+        """The same in another frame; ``change`` maps ``(N, 3)`` to ``(N, 3)``."""
+        stations = None if self.stations is None else change(self.stations)
+        return Views(change(self.points), stations, self.station_of)

@@ -272,26 +272,26 @@ def _unblocked(
     """
     layer = SUBDIVISION * whole
     centre = SUBDIVISION * lowest + _HALF
-    at_entry, at_exit = centre * whole + (z - centre) * entered, centre * whole + (z - centre) * left
-    entry, exit_ = at_entry // layer, at_exit // layer
-    entry_rest, exit_rest = at_entry - entry * layer, at_exit - exit_ * layer
+    comes_at, goes_at = centre * whole + (z - centre) * entered, centre * whole + (z - centre) * left
+    comes_in, goes_in = comes_at // layer, goes_at // layer
+    comes_over, goes_over = comes_at - comes_in * layer, goes_at - goes_in * layer
     blocking = wall & ~(1 << (z // SUBDIVISION)) if at_end else wall
     for k in range(lowest, highest + 1):
         bit = 1 << k
         if wanted & bit:
             if SUBDIVISION * k + _HALF < z:
-                first, last = entry, exit_ - (exit_rest == 0)
+                first, last = comes_in, goes_in - (goes_over == 0)
             else:
-                first, last = exit_, entry - (entry_rest == 0)
+                first, last = goes_in, comes_in - (comes_over == 0)
             crossed = _layers(first, max(first, last))
             if blocking & (crossed & ~bit if at_start else crossed):
                 wanted &= ~bit
-        entry_rest += SUBDIVISION * (whole - entered)
-        if entry_rest >= layer:
-            entry_rest -= layer
-            entry += 1
-        exit_rest += SUBDIVISION * (whole - left)
-        if exit_rest >= layer:
-            exit_rest -= layer
-            exit_ += 1
+        comes_over += SUBDIVISION * (whole - entered)
+        if comes_over >= layer:
+            comes_over -= layer
+            comes_in += 1
+        goes_over += SUBDIVISION * (whole - left)
+        if goes_over >= layer:
+            goes_over -= layer
+            goes_in += 1
     return wanted

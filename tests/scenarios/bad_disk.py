@@ -1,8 +1,7 @@
 """A disk that fails at its n-th operation below one folder, whoever asks: descriptors, streams and SQLite.
 
-Operations are to open a file for writing, to write, to make room for it, to bring it to the disk, to rename it, and
-SQLite's rows and ends of transactions. What asks a disk for no room to speak of never fails here: to make a folder, to
-cut a file short, to remove it.
+Operations are to make a folder, to open a file for writing, to write, to make room for it, to cut it short, to bring it
+to the disk, to rename it, to remove it, and SQLite's rows and ends of transactions.
 """
 
 import errno
@@ -17,6 +16,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+_GIVES_ROOM = frozenset({"ftruncate", "truncate", "unlink"})
+
 
 class Way(Enum):
     """How it fails: full until somebody makes room, an error once, or no more than one byte taken of one write."""
@@ -27,17 +28,17 @@ class Way(Enum):
 
 
 class BadDisk:
-    """Counts what is asked of the disk, and fails at one of it.
+    """Notes what is asked of the disk, and fails at one of it.
 
     Args:
         folder: whose files lie on it.
         way: how it fails.
-        at: the number of the operation, from one; None for a disk that is good. Where it is no write and only a write
-            can fail in that way, the next write is meant.
+        at: the number of the operation, from one; None for a disk that is good. Where that one cannot fail in that way,
+            the next that can is meant: only a write falls short, and a full disk refuses nothing that gives it room.
     """
 
     def __init__(self, folder: Path, way: Way, at: int | None) -> None:
-        self.operations = 0
+        self.log: list[str] = []
         self.hit = ""
         self.full = False
         self._folder = folder.resolve()
@@ -51,21 +52,21 @@ class BadDisk:
         """Something is asked of a file; whether no more than a byte of it may be taken. Raises OSError."""
         if not self.holds(path):
             return False
-        self.operations += 1
+        self.log.append(f"{what} {Path(str(path)).name}")
         fails = self._is_due(what)
         if fails:
-            self.hit = f"{what} {Path(str(path)).name}"
+            self.hit = self.log[-1]
             self.full = self._way is Way.FULL
             if self._way is Way.ERROR:
                 raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
-        if self.full:
+        if self.full and what not in _GIVES_ROOM:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         return fails and self._way is Way.SHORT
 
     def _is_due(self, what: str) -> bool:
-        if self._at is None or self.hit or self.operations < self._at:
+        if self._at is None or self.hit or len(self.log) < self._at:
             return False
-        return self._way is not Way.SHORT or what == "write"
+        return {Way.SHORT: what == "write", Way.FULL: what not in _GIVES_ROOM, Way.ERROR: True}[self._way]
 
     def holds(self, path: object) -> bool:
         return Path(str(path)).is_relative_to(self._folder)
@@ -76,16 +77,22 @@ class BadDisk:
         with ExitStack() as stack:
             for name, by in (("write", self._write), ("pwrite", self._write)):
                 stack.enter_context(patch.object(os, name, partial(by, getattr(os, name))))
-            for name in ("fsync", "posix_fallocate", "replace"):
+            for name in ("mkdir", "fsync", "posix_fallocate", "ftruncate", "truncate", "replace", "unlink"):
                 stack.enter_context(patch.object(os, name, partial(self._call, name, getattr(os, name))))
+            stack.enter_context(patch.object(os, "open", partial(self._open, os.open)))
             stack.enter_context(patch.object(Path, "open", _opening(self, Path.open)))
             connect = partial(sqlite3.connect, factory=self._connection())
             stack.enter_context(patch("mission.ledger.sqlite3.connect", connect))
             yield self
 
-    def _call(self, name: str, real: Callable[..., Any], target: Any, *rest: Any) -> Any:
+    def _call(self, name: str, real: Callable[..., Any], target: Any, *rest: Any, **options: Any) -> Any:
         self.asked(name, self._path(target))
-        return real(target, *rest)
+        return real(target, *rest, **options)
+
+    def _open(self, real: Callable[..., int], path: Any, flags: int, *rest: Any, **options: Any) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR):
+            self.asked("open", path)
+        return real(path, flags, *rest, **options)
 
     def _write(self, real: Callable[..., int], handle: int, data: Any, *rest: Any) -> int:
         short = self.asked("write", self._path(handle))

@@ -27,14 +27,18 @@ pytestmark = pytest.mark.xdist_group("bad disk")
 
 @dataclass(frozen=True)
 class Undisturbed:
-    """A mission with a good disk: how often it asks the disk, and its scans."""
+    """A mission with a good disk: what it asks of the disk, and its scans."""
 
-    operations: int
+    operations: list[str]
     scans: list[str]
 
     def after(self, share: float) -> int:
         """The operation after so large a share of them."""
-        return 1 + int(share * self.operations)
+        return 1 + int(share * len(self.operations))
+
+    def last(self, operation: str) -> int:
+        """The last one that is this."""
+        return len(self.operations) - self.operations[::-1].index(operation)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +47,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
     disk = BadDisk(kept.run.path, Way.FULL, None)
     assert isinstance(kept.fly(disk), Summary)
     kept.assert_folder_is_whole()
-    return Undisturbed(disk.operations, list(kept.scanner.taken))
+    return Undisturbed(disk.log, list(kept.scanner.taken))
 
 
 @pytest.mark.parametrize("way", Way, ids=lambda way: way.name)
@@ -53,6 +57,24 @@ def test_whatever_operation_fails_the_mission_keeps_every_scan_and_goes_on_or_is
 ) -> None:
     told = survive(tmp_path, way, undisturbed.after(share), undisturbed.scans)
     assert not told.startswith("nothing")
+
+
+@pytest.mark.parametrize(
+    ("way", "operation", "then"),
+    [
+        (Way.ERROR, "ftruncate events.jsonl", "IO_ERROR"),
+        (Way.ERROR, "open control.json", "IO_ERROR"),
+        (Way.FULL, "open control.json", "DISK_FULL"),
+        (Way.ERROR, "open S02.scan.part", "complete, XFER_WRITE_FAILED"),
+        (Way.FULL, "open S02.scan.part", "complete, DISK_FULL, hold(DISK_FULL)"),
+        (Way.ERROR, "unlink control.json", "complete"),
+    ],
+)
+def test_a_mission_that_cannot_begin_its_files_is_refused_and_one_that_flies_goes_on(
+    way: Way, operation: str, then: str, undisturbed: Undisturbed, tmp_path: Path
+) -> None:
+    told = survive(tmp_path, way, undisturbed.last(operation), undisturbed.scans)
+    assert told == f"{operation}: {then}"
 
 
 @contextmanager
@@ -143,7 +165,8 @@ def test_the_disk_counts_what_is_asked_of_it_and_of_nobody_else(tmp_path: Path) 
         np.save(tmp_path / "elsewhere.npy", np.zeros(3))
         with pytest.raises(OSError, match="No space"):
             (tmp_path / "here" / "file").write_bytes(b"x")
-    assert (disk.operations, disk.hit) == (2, "write file")
+    assert disk.log == ["open file", "write file"]
+    assert disk.hit == "write file"
 
 
 def test_a_folder_of_a_longer_name_lies_on_another_disk(tmp_path: Path) -> None:

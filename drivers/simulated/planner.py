@@ -1,7 +1,7 @@
 """From a pose to a goal without touching anything that the map has: the footprint is checked at each cell and heading.
 
-A cell of the map that is an obstacle may be one by its very edge; what is nearer than half a cell is for the bumper's
-field to tell (:mod:`drivers.simulated.safety`).
+A cell of the map that is an obstacle may be one by its very edge, so that a plan leaves more than half a cell on all
+sides, and more than the bumper's field (:mod:`drivers.simulated.safety`) would stop for.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from perception.grids import Grid
 
 Pose = tuple[float, float, float]
 
-_MARGINS = np.array([0.12, 0.08, 0.05, 0.03, 0.01])
+_MARGINS = np.array([0.12, 0.08, 0.05, 0.03])
 _ESCAPE_RADIUS = 0.35
 _HEURISTIC_SLACK = 0.002
 _GOAL_SLACK, _DOORWAY_SLACK = 0.08, 0.055
@@ -80,7 +80,7 @@ class Planner:
                 reason = "no way is wide enough"
                 rows = self._search(grid, costs, (row, column, self._heading(start[2])), target, goal[2])
                 if len(rows):
-                    return self._path(grid, rows, start, goal)
+                    return self._path(grid, costs, rows, start, goal)
         message = f"no path from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}): {reason}"
         raise FailureError("NAV_NO_PATH", message, start=list(start), goal=list(goal[:2]), reason=reason)
 
@@ -143,25 +143,40 @@ class Planner:
         for margin in _GOAL_MARGINS:
             half = self._half[0] + margin, self._half[1] + margin
             for row, column in near.tolist():
-                fits = [
-                    lattice.footprint_free(row, column, a, *half, costs.obstacle, costs.clearance, grid.resolution)
-                    for a in headings
-                ]
+                fits = [_is_free(grid, costs, (row, column), angle, half) for angle in headings]
                 if any(fits) if goal[2] is None else all(fits):
                     return row, column
         return None
 
-    def _path(self, grid: Grid, rows: NDArray[np.int64], start: Pose, goal: tuple[float, float, float | None]) -> Path:
+    def _path(
+        self,
+        grid: Grid,
+        costs: Costs,
+        rows: NDArray[np.int64],
+        start: Pose,
+        goal: tuple[float, float, float | None],
+    ) -> Path:
         poses = np.column_stack([grid.centres_of(rows[:, :2]), self._angles[rows[:, 2]]])
         poses[0] = start
-        # The cell of the goal is known to be free; the goal itself only where it lies in that very cell.
-        if tuple(grid.cells_of(goal[:2])) == tuple(rows[-1, :2]):
-            elsewhere = np.flatnonzero((rows[:, :2] != rows[-1, :2]).any(axis=1))
-            poses[max(elsewhere, default=0) + 1 :, :2] = goal[:2]
+        elsewhere = np.flatnonzero((rows[:, :2] != rows[-1, :2]).any(axis=1))
+        arrived = max(elsewhere, default=0) + 1
+        if tuple(grid.cells_of(goal[:2])) == tuple(rows[-1, :2]) and self._may_shift(grid, costs, rows[arrived:]):
+            poses[arrived:, :2] = goal[:2]
         legs = list(_legs(poses, rows[:, 3]))
         if goal[2] is not None:
             legs.append(Leg(poses[-1:, :2], goal[2], 0))
         return Path(tuple(legs), poses)
+
+    def _may_shift(self, grid: Grid, costs: Costs, rows: NDArray[np.int64]) -> bool:
+        """Whether the footprint may stand anywhere in the cells of these states, not only at their centres."""
+        margin = _MARGINS[-1] + grid.resolution / np.sqrt(2)
+        half = self._half[0] + margin, self._half[1] + margin
+        return all(_is_free(grid, costs, (row, column), self._angles[h], half) for row, column, h in rows[:, :3])
+
+
+def _is_free(grid: Grid, costs: Costs, cell: tuple[int, int], angle: float, half: tuple[float, float]) -> bool:
+    """Whether nothing is within a rectangle, given by half its length and width, about the centre of a cell."""
+    return lattice.footprint_free(*cell, angle, *half, costs.obstacle, costs.clearance, grid.resolution)
 
 
 def _legs(poses: NDArray[np.float64], moves: NDArray[np.int64]) -> list[Leg]:

@@ -125,8 +125,9 @@ def test_hits_that_the_map_does_not_know_do_not_move_the_localiser():
 @settings(max_examples=12, deadline=None)
 @given(st.floats(0.6, 7.6), st.floats(0.6, 3.4), st.one_of(st.none(), st.floats(-3.1, 3.1)))
 @example(4.5, 1.0, None)
-def test_no_pose_of_a_plan_touches_anything_but_by_the_half_cell_that_the_map_is_coarse(x, y, yaw):
-    obstruction = Obstruction(WORLD, (FOOTPRINT[0] - MAP.resolution, FOOTPRINT[1] - MAP.resolution))
+@example(4.461714850398344, 1.715828626947569, None)
+def test_no_pose_of_a_plan_touches_anything(x, y, yaw):
+    obstruction = Obstruction(WORLD, FOOTPRINT)
     try:
         path = Planner(FOOTPRINT).plan(CostMap(MAP, FOOTPRINT), (1.0, 1.0, 0.3), (x, y, yaw))
     except FailureError as error:

@@ -108,7 +108,7 @@ def _registered(surface: Surface, known: Sequence[tuple[Surface, Matrix]], guess
 def of_run(folder: Path) -> Chain:
     """The scans of a simulated mission's run folder, as they were registered before any adjustment."""
     run = read_run(folder)
-    true = true_poses(read_truth(RunFolder(run.folder).simulation))
+    true = true_poses(run, read_truth(RunFolder(run.folder).simulation))
     registered = {e["scan_id"]: np.asarray(e["map_from_scanner"], float) for e in run.events_of("registered")}
     surfaces = {record["scan_id"]: surface_of(scan.points) for record, _, scan in run.clouds()}
     poses = {name: registered[name] for name in surfaces}

@@ -8,6 +8,7 @@ from typing import Any
 
 from behaviours.services import Journal, Services
 from drivers.wire.base_client import BaseClient
+from drivers.wire.naming import new_mission
 from drivers.wire.scanner_client import ScannerClient
 from mission.attempt import attempt
 from mission.bulletin import Bulletin, Display
@@ -29,6 +30,8 @@ from mission.store import RunFolder, write_text
 from mission.worker import PerceptionWorker
 from perception.failure import FailureError
 from trees.building import create_root
+
+_NAME = "mission"
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,9 @@ def run_mission(
             word.pause()
         console = Console(word, desk)
         stack.enter_context(serving(console, folder.path))
-        scanner = ScannerClient(config.scanner, sockets=sockets_to(config, config.scanner))
-        base = BaseClient(config.base, sockets=sockets_to(config, config.base))
+        name = name_of(ledger)
+        scanner = ScannerClient(config.scanner, sockets=sockets_to(config, config.scanner), mission=name)
+        base = BaseClient(config.base, sockets=sockets_to(config, config.base), mission=name)
         stack.callback(base.close)
         preflight(config, scanner, base, journal, folder.path)
         try:
@@ -106,7 +110,7 @@ def run_mission(
             f"`mission resume {folder.path}` goes on, Ctrl-C again aborts",
             chronicle.tell,
         )
-        journal.record("mission_resumed" if chronicle.telling else "mission_started", site=config.site)
+        journal.record("mission_resumed" if chronicle.telling else "mission_started", site=config.site, mission=name)
         outcome = executive.run()
         ended = {
             "outcome": outcome,
@@ -119,6 +123,15 @@ def run_mission(
         state = bulletin.state(executive) | ended
         attempt("state.json does not tell the end", lambda: folder.write_state(state))
     return summarise(folder, state)
+
+
+def name_of(ledger: Ledger) -> str:
+    """What the agents know the mission by, over all lives of its executive; settled before they are told anything."""
+    name = ledger.about(_NAME)
+    if name is None:
+        name = new_mission()
+        ledger.note(_NAME, name)
+    return name
 
 
 def commit(journal: DurableJournal) -> None:

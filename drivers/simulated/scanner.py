@@ -11,6 +11,7 @@ from drivers.simulated.bodies import Body
 from drivers.simulated.profile import ScannerProfile
 from drivers.simulated.surroundings import Hits, Rays, Surroundings
 from drivers.simulated.world import Surface, World
+from drivers.wire.naming import own_name
 from perception import transforms
 from perception.scan import BeamPattern, Scan
 from perception.transforms import Matrix
@@ -66,12 +67,12 @@ class SimulatedScanner:
         Args:
             map_from_base: 4x4, true pose of the base on the floor of the world.
             step: angle between neighbouring beams, radians.
-            scan_id: name of the scan; with the seed it settles the noise.
+            scan_id: name of the scan; with the seed, what its own mission calls it settles the noise.
             odom_from_base: 4x4, what the base believes; only passed on.
             tilt: roll and pitch of the base where it stands, radians.
             bodies: people and carts that are there.
         """
-        rng = np.random.default_rng((self.seed, zlib.crc32(scan_id.encode())))
+        rng = np.random.default_rng((self.seed, zlib.crc32(own_name(scan_id).encode())))
         pattern = self.profile.pattern(step)
         pose = self.map_from_scanner(map_from_base, tilt)
         directions = pattern.directions()

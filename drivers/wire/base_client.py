@@ -1,5 +1,7 @@
 """A base at the other end of the wire."""
 
+from dataclasses import replace
+
 import zmq
 
 from drivers.interfaces import BaseInfo, BaseState, DriveGoal, DriveReport, Lease
@@ -20,6 +22,7 @@ from drivers.wire.client import Link, Patience
 from drivers.wire.codec import encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.introduction import introduced
+from drivers.wire.naming import full_name
 from drivers.wire.remote_drive import RemoteDrive
 from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
@@ -34,10 +37,18 @@ class BaseClient:
     Args:
         endpoints: ``control`` and ``telemetry`` of the base's agent.
         patience: how long a silent agent is asked again before ``AGENT_UNREACHABLE``.
+        mission: whose goals those are that it drives to; the agent remembers those of others too.
     """
 
-    def __init__(self, endpoints: Endpoints, patience: Patience | None = None, sockets: Sockets | None = None) -> None:
+    def __init__(
+        self,
+        endpoints: Endpoints,
+        patience: Patience | None = None,
+        sockets: Sockets | None = None,
+        mission: str = "",
+    ) -> None:
         self._endpoint = endpoints.control
+        self._mission = mission
         self._patience = patience or Patience()
         self._sockets = sockets or Sockets()
         self._listener = Listener(self._sockets.subscriber(endpoints.telemetry))
@@ -111,13 +122,14 @@ class BaseClient:
         def run(progress: Progress) -> DriveReport:
             if lease is None:
                 raise FailureError("LEASE_LOST", "the base was never acquired", goal_id=goal.goal_id, owner="")
+            order = Goal.of(replace(goal, goal_id=full_name(self._mission, goal.goal_id)))
             try:
                 with self._link(progress) as link:
-                    drive = RemoteDrive(link, self._listener, Goal.of(goal), lease, self._patience)
-                    return drive.follow(progress)
+                    drive = RemoteDrive(link, self._listener, order, lease, self._patience)
+                    return replace(drive.follow(progress), goal_id=goal.goal_id)
             except FailureError:
                 if progress.cancelled:
-                    self._stop(Progress(), goal.goal_id)
+                    self._stop(Progress(), order.goal_id)
                 raise
 
         return BackgroundJob(run, f"drive {goal.goal_id}")

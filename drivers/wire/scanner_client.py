@@ -1,6 +1,7 @@
 """A scanner at the other end of the wire."""
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from drivers import messages
@@ -24,6 +25,7 @@ from drivers.messages import (
 from drivers.wire.client import Link, Patience
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.introduction import introduced
+from drivers.wire.naming import full_name
 from drivers.wire.sockets import Sockets
 from drivers.wire.transfer import fetch
 from perception.failure import FailureError
@@ -40,10 +42,18 @@ class ScannerClient:
     Args:
         endpoints: ``control`` and ``bulk`` of the scanner's agent.
         patience: how long a silent agent is asked again before ``AGENT_UNREACHABLE``.
+        mission: whose scans those are that it takes; the agent has those of others too.
     """
 
-    def __init__(self, endpoints: Endpoints, patience: Patience | None = None, sockets: Sockets | None = None) -> None:
+    def __init__(
+        self,
+        endpoints: Endpoints,
+        patience: Patience | None = None,
+        sockets: Sockets | None = None,
+        mission: str = "",
+    ) -> None:
         self._endpoints = endpoints
+        self._mission = mission
         self._patience = patience or Patience()
         self._sockets = sockets or Sockets()
 
@@ -70,13 +80,13 @@ class ScannerClient:
         """See :meth:`drivers.interfaces.Scanner.take`. An agent that restarted meanwhile is asked to begin again."""
 
         def run(progress: Progress) -> ScanReceipt:
-            order = Take(scan_id, settings.step, Pose.of(odom_from_base))
+            order = Take(full_name(self._mission, scan_id), settings.step, Pose.of(odom_from_base))
             try:
                 with self._control(progress) as link:
-                    return self._follow(link, order, progress)
+                    return replace(self._follow(link, order, progress), scan_id=scan_id)
             except FailureError:
                 if progress.cancelled:
-                    self._abort(scan_id)
+                    self._abort(order.scan_id)
                 raise
 
         return BackgroundJob(run, f"take {scan_id}")
@@ -85,9 +95,10 @@ class ScannerClient:
         """See :meth:`drivers.interfaces.Scanner.fetch`. Once it is safe here, the agent may forget the data."""
 
         def run(progress: Progress) -> Path:
+            theirs = replace(receipt, scan_id=full_name(self._mission, receipt.scan_id))
             with Link(self._sockets, self._endpoints.bulk, self._patience, progress) as link:
-                path = fetch(link, receipt, destination, self._patience, progress)
-            self._release(receipt)
+                path = fetch(link, theirs, destination, self._patience, progress)
+            self._release(theirs)
             return path
 
         return BackgroundJob(run, f"fetch {receipt.scan_id}")

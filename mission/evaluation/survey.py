@@ -8,17 +8,20 @@ import shapely
 from numpy.typing import NDArray
 
 from drivers.simulated.world import DoorState, World
+from drivers.wire.naming import full_name, own_name
 from mission.report.run import Run
 from perception import transforms
 from perception.transforms import Matrix
 
 
-def true_poses(events: Iterable[Mapping[str, Any]]) -> dict[str, Matrix]:
-    """``world_from_scanner`` of each scan in the truth log."""
+def true_poses(run: Run, events: Iterable[Mapping[str, Any]]) -> dict[str, Matrix]:
+    """``world_from_scanner`` of each scan of the run in the truth log, which may have those of other missions too."""
+    mission = next((str(event["mission"]) for event in run.events if "mission" in event), "")
+    taken = {str(event["scan_id"]): event for event in events if event["event"] == "scan"}
     return {
-        str(event["scan_id"]): np.asarray(event["world_from_scanner"], float)
-        for event in events
-        if event["event"] == "scan"
+        name: np.asarray(event["world_from_scanner"], float)
+        for full, event in taken.items()
+        if full == full_name(mission, name := own_name(full))
     }
 
 

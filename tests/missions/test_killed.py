@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from drivers.simulated.truth_log import read_truth
+from drivers.wire.naming import own_name
 from mission.config import load_config
 from mission.resume import orphans_ended
 from mission.store import RunFolder
@@ -27,7 +28,7 @@ def test_a_mission_whose_executive_was_killed_is_resumed_to_its_end(instant: str
     assert flight.said["outcome"] == "complete"
     scans = flight.read("state.json")["scans"]
     assert len({scan["room_id"] for scan in scans}) == 2
-    taken = [event["scan_id"] for event in read_truth(run / "simulation") if event["event"] == "scan"]
+    taken = [own_name(event["scan_id"]) for event in read_truth(run / "simulation") if event["event"] == "scan"]
     assert taken == sorted(set(taken)) == [scan["scan_id"] for scan in scans]
     assert [event["kind"] for event in flight.events if event["kind"].startswith("mission_")] == [
         "mission_started", "mission_resumed", "mission_ended",

@@ -1,16 +1,20 @@
 """Whole missions that do not go as planned: operators, people, faults, and agents that are not there."""
 
 import signal
+from collections import Counter
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import yaml
 
+from drivers.simulated.truth_log import read_truth
 from drivers.simulated.world import save_world
 from drivers.simulated.worlds import load_world
 from mission.config import load_config
+from mission.evaluation.survey import pose_errors, true_poses, world_from_map
+from mission.report.run import read_run
 from tests.missions.flights import (
-    AT_ONCE,
     ENOUGH,
     ONE_ROOM,
     Flight,
@@ -83,24 +87,46 @@ def test_with_a_scanner_that_fails_its_self_test_nothing_begins(tmp_path: Path) 
 
 
 def test_agents_serve_one_mission_after_another_until_one_of_them_dies(tmp_path: Path) -> None:
-    first, second = tmp_path / "first", tmp_path / "second"
+    """Each calls its first scan S01 and its first goal G001, and none is given what the one before it left."""
+    folders = [tmp_path / name for name in ("killed", "whole", "whole too", "alone")]
     with agents(saved_world(tmp_path), tmp_path) as up:
-        flight = landed(mission("run", up.site, f"--out={first / 'runs'}", "--json", f"--set={AT_ONCE}"), first)
-        assert flight.code == 0, flight.stderr
-        assert [room["scans"] for room in flight.said["rooms"]] == [1]
-        assert (flight.folder / "building.e57").is_file()
-        assert (flight.folder / "report.html").is_file()
+        commands = (
+            mission("run", up.site, f"--out={folder / 'runs'}", "--json", f"--set={ENOUGH}") for folder in folders
+        )
+        killed = next(commands)
+        wait_until(lambda: is_running(folders[0] / "runs", "take the scan"), killed)
+        killed.kill()
+        killed.communicate()
+        for folder, before in ((folders[1], 1), (folders[2], 3)):
+            flight = landed(next(commands), folder)
+            assert flight.code == 0, flight.stderr
+            assert [room["scans"] for room in flight.said["rooms"]] == [2]
+            assert (flight.folder / "building.e57").is_file()
+            assert (flight.folder / "report.html").is_file()
+            truth = read_truth(tmp_path / "truth")
+            assert Counter(event["event"] for event in truth)["scan"] == before + 2
+            assert evaluated(flight.folder, truth) < 0.01
+        names = Counter((event["event"], event.get("scan_id") or event.get("goal_id")) for event in truth)
+        assert set(names.values()) == {1}
         assert up.scanner.poll() is up.base.poll() is None
 
-        process = mission("run", up.site, f"--out={second / 'runs'}", "--json")
-        wait_until(lambda: is_running(second / "runs", "take the scan"), process)
+        process = next(commands)
+        wait_until(lambda: is_running(folders[3] / "runs", "take the scan"), process)
         up.scanner.kill()
-        flight = landed(process, second)
+        flight = landed(process, folders[3])
         assert flight.code == 3, flight.stderr
         assert flight.said["outcome"] == "incomplete"
         assert [room["reason_ended"] for room in flight.said["rooms"]] == ["AGENT_UNREACHABLE"]
         assert flight.seconds < 60
         assert up.base.poll() is None
+
+
+def evaluated(folder: Path, truth: list[dict[str, Any]]) -> float:
+    """The worst error of a pose, metres, against where the simulator says that the mission's own scans were taken."""
+    run = read_run(folder)
+    true = true_poses(run, truth)
+    assert sorted(true) == ["S01", "S02"]
+    return max(pose["error_m"] for pose in pose_errors(run, world_from_map(run, true), true))
 
 
 def test_without_agents_a_mission_says_who_is_missing_within_seconds(unanswered: "Future[Flight]") -> None:

@@ -19,6 +19,7 @@ from msgspec import Meta
 from drivers.disk import writing
 from drivers.jobs import Progress
 from drivers.messages import Body, Command, Name, Problem, Query, Reply, Stale
+from drivers.processes import birth_of, lives
 from drivers.wire.client import Link, Patience
 from drivers.wire.codec import Codec
 from drivers.wire.server import Server
@@ -132,7 +133,7 @@ def serving(console: Console, run: Path) -> Iterator[None]:
         socket, endpoint = Sockets().router(f"ipc://{folder}/control")
         server = Server(socket, Requests, console.obey, uuid.uuid4().hex, "mission control")
         try:
-            _write_private(address, json.dumps({"endpoint": endpoint, "pid": os.getpid()}))
+            _write_private(address, json.dumps({"endpoint": endpoint} | _this_process()))
             yield
         finally:
             server.close()
@@ -173,24 +174,18 @@ def is_live(run: Path) -> bool:
 def _endpoint(run: Path) -> str:
     try:
         told = json.loads((run / CONTROL_FILE).read_text(encoding="utf-8"))
-        endpoint, pid = str(told["endpoint"]), int(told["pid"])
+        endpoint, pid, birth = str(told["endpoint"]), int(told["pid"]), str(told["birth"])
     except FileNotFoundError:
         raise FailureError("NO_EXECUTIVE", f"{run}: no mission is running in this folder") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FailureError("NO_EXECUTIVE", f"{run}: {CONTROL_FILE} cannot be read: {error}") from error
-    if not _is_alive(pid):
+    if not lives(pid, birth):
         raise FailureError("NO_EXECUTIVE", f"{run}: the process that ran this mission ({pid}) is gone")
     return endpoint
 
 
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+def _this_process() -> dict[str, object]:
+    return {"pid": os.getpid(), "birth": birth_of(os.getpid())}
 
 
 def _write_private(path: Path, text: str) -> None:

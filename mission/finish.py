@@ -1,7 +1,5 @@
 """What is delivered when a mission has ended: E57, the map for others' planners, and the report."""
 
-from pathlib import Path
-
 from mission.attempt import attempt
 from mission.export.e57 import write_e57
 from mission.export.ros_map import write_ros_map
@@ -9,17 +7,43 @@ from mission.report import write_report
 from mission.report.run import read_run
 from mission.store import RunFolder
 
+_CLOUD = "building.e57"
 
-def finish(folder: RunFolder) -> Path:
+
+def finish(folder: RunFolder) -> bool:
     """Write every delivery of a run; one that fails is logged and does not keep the others from being written.
 
+    A rehearsal is compared with its world first, for the report tells what came of that.
+
     Returns:
-        Where the report is.
+        Whether all were written.
     """
-    attempt("building.e57 was not written", lambda: write_e57(folder.path))
-    attempt("the robot map was not written", lambda: _export_map(folder))
-    attempt("the report was not written", lambda: write_report(folder.path))
-    return folder.report
+    written = [
+        attempt(f"{_CLOUD} was not written", lambda: write_e57(folder.path)),
+        attempt("the robot map was not written", lambda: _export_map(folder)),
+        not folder.rehearsal.exists() or attempt("the mission was not evaluated", lambda: _evaluate(folder)),
+        attempt("the report was not written", lambda: write_report(folder.path)),
+    ]
+    return all(written)
+
+
+def report_again(folder: RunFolder) -> bool:
+    """The report anew; where a mission has ended and something kept it from delivering, all that it delivers.
+
+    Raises:
+        FailureError: ``RUN_UNREADABLE`` if the folder holds no run, ``DISK_FULL``, ``IO_ERROR``.
+    """
+    run = read_run(folder.path)
+    if run.state.get("outcome") and run.scans and not (folder.path / _CLOUD).exists():
+        return finish(folder)
+    write_report(folder.path)
+    return True
+
+
+def _evaluate(folder: RunFolder) -> None:
+    from mission.evaluation import evaluate_run
+
+    evaluate_run(folder.path)
 
 
 def _export_map(folder: RunFolder) -> None:

@@ -4,6 +4,7 @@ import json
 import os
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -130,13 +131,10 @@ def plain(value: Any) -> Any:
 
 
 def read_events(path: Path) -> list[dict[str, Any]]:
-    """All whole lines of an event log; a last line that was cut off is left out."""
-    if not path.exists():
-        return []
+    """All whole lines of an event log; one that was cut off or damaged is left out (the ledger has them all)."""
     events = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            events.append(json.loads(line))
-        except json.JSONDecodeError:
-            break
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        with suppress(ValueError):  # of its encoding or of its JSON
+            event = json.loads(line.decode("utf-8"))
+            events += [event] if isinstance(event, dict) else []
     return events

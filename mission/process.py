@@ -57,8 +57,8 @@ def process_folder(folder: Path, out: Path) -> Row:
         processing.read(*reading)
     processing.shape()
     journal.close()
-    report = finish(run)
-    return {"run": str(run.path), "report": str(report), "scans": processing.rows, "room": processing.room}
+    finish(run)
+    return {"run": str(run.path), "report": str(run.report), "scans": processing.rows, "room": processing.room}
 
 
 def _readings(files: list[Path]) -> Iterator[tuple[Path, SetUp | FailureError, float]]:

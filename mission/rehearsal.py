@@ -53,7 +53,7 @@ class Rehearsal:
 
 
 def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summary:
-    """Run a simulated mission to its report and its evaluation.
+    """Run a simulated mission to its end; :func:`mission.finish.finish` makes its report and its evaluation.
 
     Raises:
         FailureError: when the world cannot be loaded.
@@ -73,14 +73,7 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
         shutil.move(built, folder.world)
     write_text(folder.rehearsal, json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
     with agents(plan, folder) as (scanner, base):
-        summary = run_mission(configure(plan, scanner, base), folder, display)
-    # The deliveries load much too.
-    from mission.evaluation import evaluate_run
-    from mission.finish import finish
-
-    evaluate_run(folder.path)
-    finish(folder)
-    return summary
+        return run_mission(configure(plan, scanner, base), folder, display)
 
 
 def _build(plan: Rehearsal, file: Path) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from mission.bulletin import Display
 from mission.config import SiteConfig, load_config
-from mission.finish import finish
 from mission.fsck import check
 from mission.run import Summary, run_mission
 from mission.store import RunFolder
@@ -39,15 +38,10 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
         raise FailureError("RUN_LOSSY", "; ".join(found.lost))
     outcome = _outcome(folder)
     if outcome in _FINISHED:
-        raise FailureError("MISSION_ENDED", f"{path}: this mission has ended: {outcome}")
+        why = f"{path}: this mission has ended: {outcome}; `mission report` writes what it delivers"
+        raise FailureError("MISSION_ENDED", why)
     with agents_met(folder) as config:
-        summary = run_mission(config, folder, display, go_on_at_once)
-    if folder.simulation.exists():
-        from mission.evaluation import evaluate_run
-
-        evaluate_run(path)
-    finish(folder)
-    return summary
+        return run_mission(config, folder, display, paused=not go_on_at_once)
 
 
 def _outcome(folder: RunFolder) -> str | None:

@@ -47,15 +47,13 @@ class Summary:
     reason: str
 
 
-def run_mission(
-    config: SiteConfig, folder: RunFolder, display: Display | None = None, go_on_at_once: bool = False
-) -> Summary:
+def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None = None, paused: bool = False) -> Summary:
     """Run a mission with agents that are up, and leave a run folder with its state.
 
-    A folder whose mission was interrupted is taken up where that one was: paused, until the operator says to go on.
+    A folder whose mission was interrupted is taken up where that one was.
 
     Args:
-        go_on_at_once: whether an interrupted mission goes on without being told to.
+        paused: whether nothing moves before the operator says so.
 
     Raises:
         UnreachableError: when an agent does not answer; nothing has moved then.
@@ -73,9 +71,7 @@ def run_mission(
         stack.callback(lines.close)
         journal = DurableJournal(ledger, lines, clock)
         stack.callback(attempt, "the last events are not in the ledger", journal.commit)
-        word, desk = Word(), Desk(clock, journal, config.settings.operator.ask)
-        if chronicle.telling and not go_on_at_once:
-            word.pause()
+        word, desk = Word(paused), Desk(clock, journal, config.settings.operator.ask)
         console = Console(word, desk)
         stack.enter_context(serving(console, folder.path))
         name = name_of(ledger)

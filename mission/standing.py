@@ -47,7 +47,9 @@ def standing_of_ended(folder: RunFolder) -> Standing:
     try:
         state = json.loads(folder.state.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise FailureError("RUN_UNREADABLE", f"{folder.path}: no state of a mission can be read: {error}") from error
+        raise FailureError("RUN_UNREADABLE", f"{folder.state} tells no mission's state: {error}") from error
+    if not isinstance(state, dict):
+        raise FailureError("RUN_UNREADABLE", f"{folder.state} tells no mission's state: found {state!r:.40}")
     figures = {key: state.get(key, "") for key in ("phase", "code", "message", "outcome", "started", "ended")}
     figures["scans"] = len(state.get("scans", ()))
     words = _phase(figures)

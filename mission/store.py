@@ -30,15 +30,20 @@ class RunFolder:
 
     @classmethod
     def create(cls, parent: Path, site: str) -> "RunFolder":
-        """A new folder named by the time and the site; missions of the same second are numbered."""
+        """A new folder named by the time and the site; missions of the same second are numbered.
+
+        Raises:
+            FailureError: ``DISK_FULL``, ``IO_ERROR`` where there can be none.
+        """
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
-        parent.mkdir(parents=True, exist_ok=True)
-        for number in itertools.count(1):
-            path = parent / (f"{stamp}_{site}" if number == 1 else f"{stamp}_{site}_{number}")
-            with suppress(FileExistsError):
-                path.mkdir()
-                break
-        return cls.at(path)
+        with writing(parent):
+            parent.mkdir(parents=True, exist_ok=True)
+            for number in itertools.count(1):
+                path = parent / (f"{stamp}_{site}" if number == 1 else f"{stamp}_{site}_{number}")
+                with suppress(FileExistsError):
+                    path.mkdir()
+                    break
+            return cls.at(path)
 
     @classmethod
     def at(cls, path: Path) -> "RunFolder":

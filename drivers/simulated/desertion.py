@@ -1,11 +1,12 @@
 """The end of agents that a mission started for itself, and left behind: nobody else will ever end them."""
 
 import json
-import os
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+from drivers.processes import lives
 
 GRACE_S = 600.0
 """How long agents wait for somebody who takes their mission up, seconds of the wall."""
@@ -21,7 +22,8 @@ def deserted(
     """An event that is set when nobody has run the mission for so long.
 
     Args:
-        served: a JSON file in which whoever runs it names his ``pid``; another may take his place.
+        served: a JSON file in which whoever runs it names his ``pid`` and ``birth`` (:mod:`drivers.processes`); another
+            may take his place.
         grace: seconds without such a process, the time before the first one too.
         clock, wait: tell and pass the time.
     """
@@ -41,7 +43,7 @@ def deserted(
 
 def _is_served(served: Path) -> bool:
     try:
-        os.kill(int(json.loads(served.read_text(encoding="utf-8"))["pid"]), 0)
+        told = json.loads(served.read_text(encoding="utf-8"))
+        return lives(int(told["pid"]), str(told["birth"]))
     except (OSError, ValueError, KeyError, TypeError):
         return False
-    return True

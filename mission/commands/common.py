@@ -24,7 +24,7 @@ Out = Annotated[Path, typer.Option("--out", help="Folder that run folders are ma
 
 
 def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
-    """Run a mission, print its summary, and leave with the exit code of its outcome."""
+    """Run a mission, deliver what came of it, print its summary, and leave with the exit code of its outcome."""
     from mission.preflight import NoGoError, UnreachableError
 
     # Before the tick loop listens to the signals, and after it, both end the command the same way.
@@ -41,6 +41,7 @@ def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
     except KeyboardInterrupt as interrupt:
         typer.echo("aborted", err=True)
         raise typer.Exit(EXIT_CODES["aborted"]) from interrupt
+    report = _delivered(Path(summary.run))
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:
@@ -49,8 +50,27 @@ def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
         if summary.reason:
             typer.echo(summary.reason)
         typer.echo(rooms)
-        typer.echo(f"{summary.run}/report.html")
+        typer.echo(report)
     raise typer.Exit(EXIT_CODES[summary.outcome])
+
+
+def _delivered(run: Path) -> str:
+    """Write what an ended mission delivers; where its report is, or how to have what is missing of it.
+
+    How the mission ended stays its outcome, whatever becomes of that.
+    """
+    # What the deliveries load must not be in the process while it ticks.
+    from mission.finish import finish
+    from mission.store import RunFolder
+
+    try:
+        if finish(RunFolder(run)):
+            return str(RunFolder(run).report)
+    except KeyboardInterrupt:
+        """The mission is over; there is nothing to abort."""
+    missing = f"not all that the mission delivers was written: `mission report {run}` writes it"
+    typer.echo(missing, err=True)
+    return missing
 
 
 @contextmanager

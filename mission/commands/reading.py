@@ -28,11 +28,15 @@ def fsck(run_folder: RunArgument, as_json: Json = False) -> None:
 
 
 def report(run_folder: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
-    """Write report.html and report.json of a run again, with its pictures."""
-    from mission.report import write_report
+    """Write report.html and report.json of a run again, with its pictures; cloud and map too if they are missing."""
+    from mission.finish import report_again
+    from mission.store import RunFolder
 
+    folder = RunFolder(existing(run_folder))
     with refusals():
-        typer.echo(write_report(existing(run_folder)))
+        whole = report_again(folder)
+    typer.echo(folder.report)
+    raise typer.Exit(0 if whole else 1)
 
 
 def evaluate(

@@ -58,7 +58,6 @@ def run(
 ) -> None:
     """Run a mission with agents that are already up."""
     from mission.config import load_config
-    from mission.finish import finish
     from mission.run import run_mission
     from mission.store import RunFolder
 
@@ -66,9 +65,7 @@ def run(
         alone = ["settings.operator.ask=false"] if unattended else []
         config = load_config(site, [*(overrides or ()), *alone])
         folder = RunFolder.create(out, config.site)
-        summary = run_mission(config, folder, display(as_json))
-        finish(folder)
-        return summary
+        return run_mission(config, folder, display(as_json))
 
     conclude(mission, as_json)
 

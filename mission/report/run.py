@@ -3,7 +3,7 @@
 import contextlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ def read_run(folder: Path) -> Run:
     """Read a run folder.
 
     Raises:
-        FailureError: ``RUN_UNREADABLE`` if it holds neither a survey nor an event log.
+        FailureError: ``RUN_UNREADABLE`` if it holds neither a survey nor an event log, or a file that is none.
     """
     run = RunFolder(Path(folder))
     if not run.state.is_file() and not run.events.is_file():
@@ -110,8 +110,21 @@ def read_run(folder: Path) -> Run:
     evaluation = run.path / EVALUATION
     return Run(
         run.path,
-        yaml.safe_load(run.config.read_text()) or {} if run.config.is_file() else {},
-        json.loads(run.state.read_text()) if run.state.is_file() else {},
+        _mapping(run.config, yaml.safe_load) or {},
+        _mapping(run.state, json.loads) or {},
         tuple(read_events(run.events)),
-        json.loads(evaluation.read_text()) if evaluation.is_file() else None,
+        _mapping(evaluation, json.loads),
     )
+
+
+def _mapping(path: Path, parse: Callable[[str], Any]) -> dict[str, Any] | None:
+    """What a file of names and values says; None where there is no such file."""
+    if not path.is_file():
+        return None
+    try:
+        found = parse(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise FailureError("RUN_UNREADABLE", f"{path} cannot be read: {error}") from error
+    if not isinstance(found, dict):
+        raise FailureError("RUN_UNREADABLE", f"{path}: expected names and values, found {found!r:.40}")
+    return found

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from drivers.processes import birth_of
 from drivers.simulated.desertion import GRACE_S, deserted
 
 
 def serve(file: Path, pid: int) -> None:
-    file.write_text(json.dumps({"endpoint": "ipc://somewhere", "pid": pid}))
+    file.write_text(json.dumps({"endpoint": "ipc://somewhere", "pid": pid, "birth": birth_of(pid)}))
 
 
 def gone() -> int:

@@ -10,9 +10,10 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from mission import cli, rehearsal
+from mission import cli, finish, rehearsal
 from mission.preflight import NoGoError, UnreachableError
 from mission.run import Summary
+from mission.store import RunFolder
 from tests.mission.fake_run import write_run
 
 SITE = {
@@ -154,10 +155,20 @@ def ending(outcome: str, reason: str = "") -> Callable[..., Summary]:
     return lambda *_: Summary("runs/x", outcome, [room], 2, 61.0, 610.0, reason)
 
 
+@pytest.fixture
+def delivered(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The runs whose deliveries were asked for; all of them are made."""
+    runs: list[str] = []
+    monkeypatch.setattr(finish, "finish", lambda folder: runs.append(str(folder.path)) is None)
+    return runs
+
+
 @pytest.mark.parametrize(
     ("outcome", "code"), [("complete", 0), ("fault", 1), ("incomplete", 3), ("aborted", 4), ("safety_stop", 5)]
 )
-def test_the_outcome_is_the_exit_code(outcome: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_outcome_is_the_exit_code(
+    outcome: str, code: int, delivered: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(rehearsal, "rehearse", ending(outcome))
     result = call("simulate", "school", "--json")
     assert result.exit_code == code
@@ -166,6 +177,23 @@ def test_the_outcome_is_the_exit_code(outcome: str, code: int, monkeypatch: pyte
     assert words.exit_code == code
     assert f"{outcome}: 1 rooms, 2 scans in 61 s" in words.stdout
     assert "runs/x/report.html" in words.stdout
+    assert delivered == ["runs/x", "runs/x"]
+
+
+@pytest.mark.parametrize("how", ["a file cannot be written", "Ctrl-C"])
+def test_a_mission_that_cannot_deliver_has_ended_as_it_did(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def kept_from(_: RunFolder) -> bool:
+        if how == "Ctrl-C":
+            raise KeyboardInterrupt
+        return False
+
+    monkeypatch.setattr(rehearsal, "rehearse", ending("complete"))
+    monkeypatch.setattr(finish, "finish", kept_from)
+    result = call("simulate", "school")
+    assert result.exit_code == 0
+    assert "complete: 1 rooms" in result.stdout
+    assert "`mission report runs/x` writes it" in result.stderr
+    assert "report.html" not in result.stdout
 
 
 @pytest.mark.parametrize(
@@ -175,6 +203,7 @@ def test_the_outcome_is_the_exit_code(outcome: str, code: int, monkeypatch: pyte
         ("fault", "RESUME_DIVERGED: job 3 was take S01, but this tree begins drive G01"),
     ],
 )
+@pytest.mark.usefixtures("delivered")
 def test_what_went_wrong_at_the_end_is_told(outcome: str, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rehearsal, "rehearse", ending(outcome, reason))
     assert reason in call("simulate", "school").stdout.splitlines()
@@ -205,6 +234,7 @@ def test_a_mission_that_never_began_has_its_own_code(
     assert said in result.stderr
 
 
+@pytest.mark.usefixtures("delivered")
 def test_what_is_asked_for_is_what_is_rehearsed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked: list[tuple[rehearsal.Rehearsal, Path]] = []
 
@@ -230,6 +260,30 @@ def test_a_report_is_written_again_where_the_run_is(tmp_path: Path) -> None:
     result = call("report", run.folder)
     assert (result.exit_code, result.stdout.strip()) == (0, str(run.folder / "report.html"))
     assert (run.folder / "report.html").is_file()
+
+
+def test_a_report_makes_up_for_what_an_ended_mission_could_not_deliver(tmp_path: Path) -> None:
+    run = write_run(tmp_path)
+    assert call("report", run.folder).exit_code == 0
+    cloud = run.folder / "building.e57"
+    made = cloud.stat().st_mtime_ns
+    assert call("report", run.folder).exit_code == 0
+    assert cloud.stat().st_mtime_ns == made
+
+
+@pytest.mark.parametrize("text", ["null", "[]", "{", "\xff"])
+@pytest.mark.parametrize("command", ["report", "status"])
+def test_a_state_that_is_none_is_named(command: str, text: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path)
+    (run.folder / "state.json").write_bytes(text.encode("latin-1"))
+    assert "state.json" in refused(command, run.folder)
+
+
+def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    site = tmp_path / "site.yaml"
+    site.write_text(yaml.safe_dump(SITE))
+    (tmp_path / "file").write_text("in the way")
+    assert str(tmp_path / "file" / "runs") in refused("run", site, "--out", tmp_path / "file" / "runs")
 
 
 def test_a_world_that_cannot_be_read_is_named(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from drivers.processes import birth_of
 from drivers.wire.client import Patience
 from mission.cli import app
 from mission.control import Abort, AnswerQuestion, AskStatus, Console, Pause, Resume, is_live, order, serving
@@ -82,18 +83,33 @@ def test_an_address_left_by_a_killed_executive_is_known_as_such(tmp_path: Path) 
     if gone == 0:
         os._exit(0)
     os.waitpid(gone, 0)
-    (tmp_path / "control.json").write_text(json.dumps({"endpoint": "ipc:///nowhere", "pid": gone}))
+    left = {"endpoint": "ipc:///nowhere", "pid": gone, "birth": birth_of(os.getpid())}
+    (tmp_path / "control.json").write_text(json.dumps(left))
     with pytest.raises(FailureError, match=r"NO_EXECUTIVE.*gone"):
         order(tmp_path, Pause())
     with serving(Live().console, tmp_path):
         assert is_live(tmp_path)
 
 
+def test_another_process_that_has_its_number_is_not_taken_for_the_executive(tmp_path: Path) -> None:
+    """As after a power cut, when the address was left and the numbers are given out anew."""
+    address = tmp_path / "control.json"
+    left = {"endpoint": "ipc:///nowhere", "pid": os.getpid(), "birth": birth_of(os.getpid()) + "1"}
+    address.write_text(json.dumps(left))
+    assert not is_live(tmp_path)
+    with pytest.raises(FailureError, match=r"NO_EXECUTIVE.*gone"):
+        order(tmp_path, Pause())
+    address.write_text(json.dumps(left | {"birth": birth_of(os.getpid())}))
+    assert is_live(tmp_path)
+
+
 def test_an_executive_that_lives_but_does_not_answer_is_told_apart_from_one_that_is_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mission.control._PATIENCE", Patience(first=0.05, longest=0.1, total=0.2))
-    (tmp_path / "control.json").write_text(json.dumps({"endpoint": f"ipc://{tmp_path}/deaf", "pid": os.getpid()}))
+    (tmp_path / "control.json").write_text(
+        json.dumps({"endpoint": f"ipc://{tmp_path}/deaf", "pid": os.getpid(), "birth": birth_of(os.getpid())})
+    )
     with pytest.raises(FailureError, match="EXECUTIVE_SILENT"):
         order(tmp_path, Pause())
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import ScanReceipt
+from drivers.wire.endpoints import Endpoints
+from mission.config import SiteConfig, dump_config
 from mission.fsck import check
 from mission.ledger import Ledger
 from mission.resume import resume_run
@@ -75,3 +77,18 @@ def test_a_mission_that_has_ended_is_not_taken_up(run: RunFolder, outcome: str) 
     run.write_state({"outcome": outcome})
     with pytest.raises(FailureError, match=f"MISSION_ENDED.*{outcome}"):
         resume_run(run.path)
+
+
+@pytest.mark.parametrize(("go_on_at_once", "paused"), [(False, True), (True, False)])
+def test_a_mission_that_had_begun_nothing_comes_back_paused_too(
+    go_on_at_once: bool, paused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may have been refused at its start, or have died there; the robot is somebody else's by now, perhaps."""
+    folder = RunFolder.at(tmp_path)
+    Ledger(folder.ledger).close()
+    site = SiteConfig(site="laboratory", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+    folder.config.write_text(dump_config(site))
+    flown: list[bool] = []
+    monkeypatch.setattr("mission.resume.run_mission", lambda *_, paused: flown.append(paused))
+    resume_run(folder.path, go_on_at_once=go_on_at_once)
+    assert flown == [paused]

@@ -141,7 +141,7 @@ class Kept:
             if disk is not None:
                 stack.enter_context(disk.mounted())
             try:
-                return run_mission(config, self.run, go_on_at_once=True)
+                return run_mission(config, self.run)
             except FailureError as refusal:
                 return refusal
 

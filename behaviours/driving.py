@@ -40,12 +40,18 @@ class DriveToTarget(JobLeaf):
         robot_map = self.services.files.robot_map(survey.map_id)
         self._set_out = base
         known = _registered_pose(survey, base)
+        self.services.interlock.set_out(self.name)
         return self.services.base.drive(
             DriveGoal(target.goal_id, robot_map, survey.map_id, known, target.x, target.y, target.yaw)
         )
 
     def timeout(self) -> float:
         return self.services.settings.driving.timeout_s
+
+    def terminate(self, new_status: Status) -> None:
+        super().terminate(new_status)
+        if hasattr(self, "services"):
+            self.services.interlock.arrive(self.name)
 
     def finish(self, value: DriveReport) -> Status:
         survey: Survey = self.read(Key.SURVEY)

@@ -188,6 +188,36 @@ class HoldForLease(Hold):
         return self.services.settings.building.base_return_s
 
 
+class HoldForRogueBase(Hold):
+    """The base moves though no drive is under way: it is pushed, or obeys somebody else. It is told to stand still."""
+
+    code = "BASE_ROGUE"
+    rolls_out_s = 5.0
+    """A drive that was broken off, and the news of its end, take this long at most."""
+    tells_again_s = 2.0
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._moves_since: float | None = None
+        self._told_at = float("-inf")
+
+    def trouble(self, base: BaseState) -> str | None:
+        now = self.services.clock.now()
+        if not base.moving or self.services.interlock.driving:
+            self._moves_since = None
+            return None
+        self._moves_since = now if self._moves_since is None else self._moves_since
+        if now - self._moves_since <= self.rolls_out_s:
+            return None
+        if now - self._told_at >= self.tells_again_s:
+            self._told_at = now
+            self.services.base.stop()
+        return "The base moves though no drive is under way; see who pushes or steers it."
+
+    def limit(self) -> float:
+        return self.services.settings.building.release_s
+
+
 class HoldForBattery(Hold):
     """So little charge is left that driving on would strand the robot somewhere worse."""
 

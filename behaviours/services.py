@@ -75,10 +75,11 @@ class _Answered:
 
 
 class Interlock:
-    """Whether anything forbids the wheels to turn just now: a scan that is being taken."""
+    """Whether anything forbids the wheels to turn now: a scan that is being taken; and whether a drive turns them."""
 
     def __init__(self) -> None:
         self._held_by: set[str] = set()
+        self._driven_by: set[str] = set()
 
     @property
     def free(self) -> bool:
@@ -90,6 +91,17 @@ class Interlock:
     def release(self, who: str) -> None:
         """Harmless for who does not hold it."""
         self._held_by.discard(who)
+
+    @property
+    def driving(self) -> bool:
+        return bool(self._driven_by)
+
+    def set_out(self, who: str) -> None:
+        self._driven_by.add(who)
+
+    def arrive(self, who: str) -> None:
+        """Harmless for who did not set out."""
+        self._driven_by.discard(who)
 
 
 @dataclass(frozen=True)

@@ -197,6 +197,7 @@ def _telemetry(base: Base, patience_s: float) -> BaseState | Failure:
     until = time.monotonic() + patience_s
     while (state := base.state()) is None:
         if time.monotonic() >= until:
-            return Failure("BASE_LOST", f"no telemetry within {patience_s:.0f} s")
+            waited = f" within {patience_s:.0f} s" if patience_s else ""
+            return Failure("BASE_LOST", f"no telemetry{waited}")
         time.sleep(0.02)
     return state

@@ -9,7 +9,8 @@ from mission.phase import Phase, State
 from mission.store import RunFolder
 from perception.failure import FailureError
 
-_ORDERED = {"pause": "pausing", "abort": "aborting"}
+_TAKEN_UP = ("aborted", "safety_stop", "fault")
+"""Outcomes after which a mission may go on."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,7 @@ class Standing:
 def standing_of(status: Status) -> Standing:
     """Of a mission that answers."""
     figures = status.figures
-    lines = [_phase(figures)]
-    ordered = _ORDERED.get(status.command)
-    if ordered and figures.get("phase") != Phase.PAUSED:
-        lines[0] = f"{ordered}; {lines[0]}"
+    lines = ["; ".join(filter(None, (_ordered(status), _phase(figures))))]
     if "tick" in figures:
         where = f"{figures['room']}, " if figures["room"] else ""
         lines.append(f"{where}{figures['scans']} scans; {figures['doing']}: {figures['note']}")
@@ -52,10 +50,21 @@ def standing_of_ended(folder: RunFolder) -> Standing:
         raise FailureError("RUN_UNREADABLE", f"{folder.state} tells no mission's state: found {state!r:.40}")
     figures = {key: state.get(key, "") for key in ("phase", "code", "message", "outcome", "started", "ended")}
     figures["scans"] = len(state.get("scans", ()))
-    words = _phase(figures)
+    lines = [_phase(figures), f"{figures['scans']} scans"]
     if not figures["outcome"]:
-        words = f"was {words} when its executive died; `mission resume {folder.path}` takes it up"
-    return Standing(f"{words}\n{figures['scans']} scans", figures)
+        lines[0] = f"was {lines[0]} when its executive died"
+    rooms = [room for room in state.get("rooms", ()) if room.get("status") != "complete"]
+    lines += [f"{room['id']} {room.get('status')}: {room.get('reason_ended') or 'not ended'}" for room in rooms]
+    if not figures["outcome"] or figures["outcome"] in _TAKEN_UP:
+        lines.append(f"`mission resume {folder.path}` takes it up")
+    return Standing("\n".join(lines), figures)
+
+
+def _ordered(status: Status) -> str:
+    """What the operator has ordered, while the mission is on its way there."""
+    paused = status.figures.get("phase") == Phase.PAUSED
+    ways = {"abort": "aborting", "pause": "" if paused else "pausing", "run": "going on" if paused else ""}
+    return ways.get(status.command, "")
 
 
 def _phase(figures: dict[str, Any]) -> str:

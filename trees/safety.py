@@ -11,6 +11,7 @@ from behaviours.safety import (
     HoldForEmergencyStop,
     HoldForLease,
     HoldForLostBase,
+    HoldForRogueBase,
     Paused,
 )
 from trees.compose import most_important, steps
@@ -28,6 +29,7 @@ def watch() -> Behaviour:
         _held("emergency stop", HoldForEmergencyStop("hold while stopped")),
         _held("base lost", HoldForLostBase("hold while the base is lost")),
         _held("base not ours", HoldForLease("hold without the lease")),
+        _held("base moves by itself", HoldForRogueBase("hold while it moves")),
         _held("disk full", HoldForDisk("hold for room on the disk")),
         _held("battery critical", HoldForBattery("hold for charge")),
         Paused("pause ordered?"),

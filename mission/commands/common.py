@@ -45,7 +45,9 @@ def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:
-        rooms = ", ".join(f"{room['id']} ({room['scans']} scans, {room['reason_ended']})" for room in summary.rooms)
+        rooms = ", ".join(
+            f"{room['id']} ({room['scans']} scans, {room['reason_ended'] or 'not ended'})" for room in summary.rooms
+        )
         typer.echo(f"{summary.outcome}: {len(summary.rooms)} rooms, {summary.scans} scans in {summary.wall_s:.0f} s")
         if summary.reason:
             typer.echo(summary.reason)

@@ -41,8 +41,12 @@ class RegistrationLimits:
         )
 
 
-NEAR_ODOMETRY = RegistrationLimits(max_conflict=0.06)
-"""Where the guess is odometry's and the correction must agree with it, a mirror's ghosts need not refuse a scan."""
+NEAR_ODOMETRY = RegistrationLimits(max_conflict=0.09)
+"""Where the guess is odometry's and the correction must agree with it, a mirror's ghosts need not refuse a scan.
+
+From behind a pane that mirrors a whole wall, 7 % of the known surface is seen through. A tenth would leave nothing of
+a pose's plausibility, so that every other one would be its rival.
+"""
 
 
 def is_held(registration: Registration, limits: RegistrationLimits = RegistrationLimits()) -> bool:

@@ -198,3 +198,27 @@ def test_a_pause_is_that_very_word(command: str, expected: Status) -> None:
     Bench().set_up(leaf)
     put(COMMAND=command)
     assert tick(leaf) == expected
+
+
+def test_a_base_that_moves_without_a_drive_is_told_to_stand_and_waited_for() -> None:
+    leaf = safety.HoldForRogueBase("hold")
+    bench, asked = held(leaf)
+    found = []
+    for moving in (True, True, True, True, False):
+        found.append(sense(leaf, moving=moving))
+        bench.clock.sleep(3.0)
+    assert found == [NO, NO, RUN, RUN, NO]
+    assert (code(), asked.questions) == (None, [])
+    assert [name for name, *_ in bench.calls] == ["stop", "stop"]
+
+
+def test_a_base_that_drives_or_rolls_out_as_it_was_told_is_none_to_hold_for() -> None:
+    leaf = safety.HoldForRogueBase("hold")
+    bench, _ = held(leaf)
+    bench.services.interlock.set_out("drive")
+    for _ in range(5):
+        assert sense(leaf, moving=True) == NO
+        bench.clock.sleep(3.0)
+    bench.services.interlock.arrive("drive")
+    assert [sense(leaf, moving=True), sense(leaf, moving=False), sense(leaf, moving=True)] == [NO, NO, NO]
+    assert bench.calls == []

@@ -150,6 +150,13 @@ def test_the_commands_say_how_it_stands(live: Live, tmp_path: Path) -> None:
     assert call("abort", tmp_path)[1].startswith("aborting")
 
 
+def test_an_order_to_a_paused_mission_is_seen_in_its_answer(live: Live, tmp_path: Path) -> None:
+    live.console.publish(FIGURES | {"phase": "paused"})
+    assert call("pause", tmp_path)[1].splitlines()[0] == "PAUSED"
+    assert call("resume", tmp_path)[1].splitlines()[0] == "going on; PAUSED"
+    assert call("abort", tmp_path)[1].splitlines()[0] == "aborting; PAUSED"
+
+
 @pytest.mark.parametrize("command", [("pause",), ("resume",), ("abort",), ("answer", "Q001", "again")])
 def test_a_mission_that_nobody_runs_is_told_so(command: tuple[str, ...], tmp_path: Path) -> None:
     name, *more = command
@@ -164,3 +171,8 @@ def test_the_status_of_a_mission_that_has_ended_is_how_it_ended(tmp_path: Path) 
     assert call("status", tmp_path) == (0, "DONE\n2 scans\n")
     (tmp_path / "state.json").write_text(json.dumps({"phase": "running", "scans": []}))
     assert "its executive died" in call("status", tmp_path)[1]
+    short = {"id": "R1", "status": "partial", "reason_ended": "AGENT_UNREACHABLE"}
+    state |= {"phase": "aborted", "outcome": "aborted", "rooms": [short, {"id": "R2", "status": "complete"}]}
+    (tmp_path / "state.json").write_text(json.dumps(state))
+    told = call("status", tmp_path)[1].splitlines()
+    assert told == ["ABORTED", "2 scans", "R1 partial: AGENT_UNREACHABLE", f"`mission resume {tmp_path}` takes it up"]

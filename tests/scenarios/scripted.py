@@ -150,7 +150,7 @@ class ScriptedBase:
     """Drives through open doors to free places; its odometry is exact, and it never localises itself.
 
     ``closed`` names the passages that are shut, ``occupied`` the places (x, y) that somebody stands on, ``owner`` whose
-    it is.
+    it is, ``is_pushed`` says that its wheels turn though nobody told them to.
     """
 
     def __init__(self, site: Site, script: Script, owner: str = "") -> None:
@@ -168,6 +168,7 @@ class ScriptedBase:
         self.boots = 1
         self.was_placed = False
         self.has_slipped = False
+        self.is_pushed = False
         self._drives: list[ScriptedJob] = []
         self._at_rest_from = 0.0
         self._asked_for: list[ScriptedJob] = []
@@ -187,7 +188,7 @@ class ScriptedBase:
         age = 0.0 if self.silent_since is None else now - self.silent_since
         odometry = self.odom_from_map @ self.map_from_base
         return BaseState(
-            odometry, None, now < self._at_rest_from, self.emergency_stop, self.battery, "idle", age,
+            odometry, None, self.is_pushed or now < self._at_rest_from, self.emergency_stop, self.battery, "idle", age,
             self.owner, f"boot {self.boots}",
         )  # fmt: skip
 

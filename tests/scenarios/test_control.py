@@ -307,6 +307,17 @@ def test_a_critical_battery_holds_and_goes_on_when_it_is_charged_where_it_stands
     assert "hold(BATTERY_CRITICAL)" in play.phases
 
 
+def test_a_base_that_somebody_pushes_holds_the_mission_until_it_stands() -> None:
+    def each_tick(play: Play, ticks: int) -> None:
+        play.base.is_pushed = 20 <= ticks < 30
+
+    play = Play(row(2), each_tick=each_tick)
+    assert play.run() == "complete"
+    assert play.phases.count("hold(BASE_ROGUE)") == 1
+    assert "stop" in play.base.commands[:-1]
+    assert Traces.of(play).scans == undisturbed(2).scans
+
+
 @pytest.mark.parametrize("first", range(1, 30, 4))
 def test_a_disk_that_is_full_for_a_while_costs_no_scan(first: int) -> None:
     def fill(play: Play, ticks: int) -> None:

@@ -6,7 +6,15 @@ import pytest
 from perception import transforms
 from perception.failure import FailureError
 from perception.global_registration import register_globally
-from perception.registration import anchor, judge, reference_from, register, surface_of
+from perception.registration import (
+    NEAR_ODOMETRY,
+    RegistrationLimits,
+    anchor,
+    judge,
+    reference_from,
+    register,
+    surface_of,
+)
 from perception.scan import BeamPattern
 from tests.shared_data import SCANS
 from tests.synthetic import Scene, box
@@ -122,6 +130,15 @@ def test_place_that_earlier_scans_saw_through_is_refused():
     assert found.conflict > 0.03
     with pytest.raises(FailureError, match="seen through"):
         judge(found, EXPECTED)
+
+
+def test_odometry_vouches_for_a_place_from_which_a_mirrors_wall_is_seen_through():
+    """As much as a pane shows of the wall opposite; nobody vouches for what a search over the whole map has found."""
+    found = replace(anchor(transforms.planar(0.0, 0.0, 0.0)), conflict=0.07)
+    judge(found, EXPECTED, NEAR_ODOMETRY)
+    for limits, conflict in ((RegistrationLimits(), 0.07), (NEAR_ODOMETRY, 0.1)):
+        with pytest.raises(FailureError, match="seen through"):
+            judge(replace(found, conflict=conflict), EXPECTED, limits)
 
 
 def test_people_and_ghosts_do_not_move_the_pose(room):

@@ -17,11 +17,13 @@ from drivers.interfaces import ScanReceipt
 from drivers.wire.hashing import sha256_of
 from mission.config import ConfigError, load_config
 from mission.products import is_only_shown, may_write_the_same
-from mission.records import JobRow, KeptFile, damage_in, files_in, jobs_in
+from mission.records import JobRow, KeptFile, damage_in, events_in, files_in, jobs_in
 from mission.snapshot import copied, holder_of
 from mission.store import RunFolder
 from mission.values import from_json
 from perception.failure import FailureError
+
+_MAGIC = b"SQLite format 3\0"
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class _Told:
 
     jobs: list[JobRow]
     files: dict[str, tuple[int, KeptFile]]
+    events: int
 
 
 def check(run: RunFolder) -> Verdict:
@@ -100,7 +103,7 @@ def check(run: RunFolder) -> Verdict:
         unusable,
         (*scans, *needed, *_set_up_lost(run)),
         shown,
-        tuple(f"{run.events}: {words}" for words in log.faults(told.jobs)),
+        tuple(f"{run.events}: {words}" for words in log.faults(told)),
         tuple(str(path) for path in sorted(run.path.rglob("*.part*"))),
         len(receipts),
         len(told.files),
@@ -136,15 +139,17 @@ def _receipt(row: JobRow) -> ScanReceipt:
 
 def _told_by(ledger: Path) -> _Told:
     """All that is in a whole ledger. Raises OSError, or ValueError with what is wrong with it."""
-    if ledger.stat().st_size == 0:
-        raise ValueError("expected the mission's ledger, found an empty file")
+    with ledger.open("rb") as file:
+        begins = file.read(len(_MAGIC))
+    if begins != _MAGIC:  # one that is empty would be made anew, in silence
+        raise ValueError(f"expected the mission's ledger, found {'another' if begins else 'an empty'} file")
     with copied(ledger) as db:
         damage = _not_kept_apart(db) or damage_in(db)
         if damage:
             raise ValueError("; ".join(damage[:5]))
         if not db.execute("SELECT 1 FROM record").fetchone():
             raise ValueError("expected the records of a mission, found none: nothing was done, or all of it is lost")
-        return _Told(jobs_in(db), files_in(db))
+        return _Told(jobs_in(db), files_in(db), sum(1 for _ in events_in(db)))
 
 
 def _not_kept_apart(db: sqlite3.Connection) -> list[str]:
@@ -168,10 +173,12 @@ class _Log:
     """What the event log says, as far as it can be read.
 
     Args:
+        lines: how many there are.
         acts: number, kind and name of each job that was ordered, in their order.
         fault: why it cannot be read to its end; empty if it can.
     """
 
+    lines: int
     acts: tuple[tuple[int, str, str], ...]
     fault: str
 
@@ -180,7 +187,7 @@ class _Log:
         try:
             lines = path.read_bytes().split(b"\n")[:-1]  # a line that a power cut broke off was never whole
         except OSError as error:
-            return cls((), f"expected the event log, found {error.strerror or error}")
+            return cls(0, (), f"expected the event log, found {error.strerror or error}")
         acts, fault = [], ""
         for number, line in enumerate(lines, 1):
             try:
@@ -189,7 +196,7 @@ class _Log:
                     acts.append((int(event["job"]), str(event["what"]), str(event["name"])))
             except (ValueError, TypeError, LookupError, RecursionError) as error:
                 fault = fault or f"expected an event in line {number}, found {error}"
-        return cls(tuple(acts), fault)
+        return cls(len(lines), tuple(acts), fault)
 
     def acts_beyond(self, jobs: list[JobRow]) -> Iterator[str]:
         """Acts that the ledger would have if it had its end: where it has the last one, it has them all."""
@@ -197,11 +204,13 @@ class _Log:
             number, what, name = self.acts[-1]
             yield f"its end is lost: expected job {number}, {what} {name}, as in the event log, found {len(jobs)} jobs"
 
-    def faults(self, jobs: list[JobRow]) -> Iterator[str]:
+    def faults(self, told: _Told) -> Iterator[str]:
         if self.fault:
             yield self.fault
+        elif told.events and not self.lines:
+            yield f"expected {told.events} events, found none"
         for number, what, name in self.acts:
-            row = jobs[number - 1] if 0 < number <= len(jobs) else None
+            row = told.jobs[number - 1] if 0 < number <= len(told.jobs) else None
             if row is not None and (row.kind, row.name) != (what, name):
                 yield f"expected job {number} to be {row.kind} {row.name}, as in the ledger, found {what} {name}"
 

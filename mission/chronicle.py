@@ -8,16 +8,18 @@ act, and then begins the next job, or the last one again by its old name, which 
 
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
-from behaviours.services import Clock
+from behaviours.services import Clock, Journal
 from drivers.interfaces import BaseState
 from drivers.jobs import Done, Failed, Job, Outcome, Running
 from mission.footing import Footing
-from mission.ledger import JobRow, Ledger
+from mission.ledger import Ledger
+from mission.records import JobRow, KeptFile
 from mission.values import from_json, to_json
 from perception.failure import Failure, FailureError
 
@@ -27,6 +29,19 @@ T = TypeVar("T")
 
 _PATIENCE_TICKS = 100
 _INTERRUPTED = Failure("NAV_INTERRUPTED", "the drive was given up when the mission was ended")
+
+
+Made = Callable[[Any], Sequence[KeptFile]]
+"""The files that a job made, of the value that it came to."""
+
+
+@dataclass(frozen=True)
+class _Ending:
+    """How a job ended, as it is written down; ``outcome`` is JSON."""
+
+    how: str
+    outcome: str
+    files: Sequence[KeptFile] = ()
 
 
 class Chronicle:
@@ -50,6 +65,16 @@ class Chronicle:
         self._footing = _footing(self._told)
         self._divergence: FailureError | None = None
         self._owed: list[tuple[int, float]] = []
+        self._witness: Journal | None = None
+
+    @property
+    def folder(self) -> Path:
+        """The run folder: where the ledger is, and the files that jobs make."""
+        return self._ledger.path.parent
+
+    def witnessed_by(self, journal: Journal) -> None:
+        """Every act is told there too, once it is durably written down: a ledger that lost its end is known by that."""
+        self._witness = journal
 
     @property
     def telling(self) -> bool:
@@ -99,20 +124,28 @@ class Chronicle:
         """What the odometry was told in that was sensed last."""
         return self._sensed.odom_frame if self._sensed else ""
 
-    def begin(self, kind: str, name: str, start: Callable[[], Job[T]], acts: bool = False) -> Job[T]:
+    def begin(
+        self,
+        kind: str,
+        name: str,
+        start: Callable[[], Job[T]],
+        acts: bool = False,
+        made: Made | None = None,
+    ) -> Job[T]:
         """Begin a job, or tell its outcome if it is known.
 
         Args:
             kind, name: what, of what; stable over restarts.
             start: begins it; called after the job is written down.
             acts: whether it moves the world, so that it must be on the disk before.
+            made: the files that it made, of the value that it came to; written down before its end is.
 
         Raises:
             FailureError: ``RESUME_DIVERGED`` when the tree begins another job than it did before.
         """
         if self._next == len(self._told):
             world = json.dumps(to_json(self._sensed))
-            return _LivedJob(self, lambda: self._write_down(kind, name, world, acts), start)
+            return _LivedJob(self, lambda: self._write_down(kind, name, world, acts), start, made)
         row = self._told[self._next]
         if (row.kind, row.name) != (kind, name):
             # Kept as well as raised: a leaf makes an ordinary failure of what its job raises.
@@ -126,7 +159,7 @@ class Chronicle:
         self._next += 1
         self._moved = True
         self._at = max(self._at, row.begun)
-        return _LivedJob(self, lambda: row.seq, start) if row.ended is None else _ToldJob(self, row)
+        return _ToldJob(self, row) if row.ended is not None else _LivedJob(self, lambda: row.seq, start, made)
 
     @property
     def _row(self) -> JobRow:
@@ -147,10 +180,12 @@ class Chronicle:
     def may_act(self) -> bool:
         return self._may_act
 
-    def ended(self, seq: int, how: str, outcome: str) -> None:
-        """Write down what a job came to, JSON."""
+    def ended(self, seq: int, ending: _Ending) -> None:
+        """Write down what a job came to, and before that what it made, so that no end is told without its files."""
         self._settle()
-        self._ledger.end(seq, how, outcome, self.now())
+        if ending.files:
+            self._ledger.keep(seq, ending.files)
+        self._ledger.end(seq, ending.how, ending.outcome, self.now())
 
     def given_up(self, seq: int) -> None:
         """Write down that a job was cancelled; on a full disk, before anything else that is written."""
@@ -160,7 +195,10 @@ class Chronicle:
 
     def _write_down(self, kind: str, name: str, world: str, acts: bool) -> int:
         self._settle()
-        return self._ledger.begin(kind, name, world, self.now(), acts)
+        seq = self._ledger.begin(kind, name, world, self.now(), acts)
+        if acts and self._witness is not None:
+            self._witness.record("ordered", job=seq, what=kind, name=name)
+        return seq
 
     def _settle(self) -> None:
         while self._owed:
@@ -208,10 +246,17 @@ class _ToldJob:
 class _LivedJob:
     """A job that is begun when there is leave to act, and written down before and after."""
 
-    def __init__(self, chronicle: Chronicle, write_down: Callable[[], int], start: Callable[[], Job[Any]]) -> None:
+    def __init__(
+        self,
+        chronicle: Chronicle,
+        write_down: Callable[[], int],
+        start: Callable[[], Job[Any]],
+        made: Made | None,
+    ) -> None:
         self._chronicle = chronicle
         self._write_down = write_down
         self._start = start
+        self._made = made
         self._seq = 0
         self._job: Job[Any] | None = None
         self._outcome: Outcome[Any] | None = None
@@ -223,11 +268,11 @@ class _LivedJob:
         if self._job is None and not self._act():
             return Running(None, "waits for leave to go on, or for room on the disk")
         assert self._job is not None
-        outcome, ending = _asked(self._job)
+        outcome, ending = _asked(self._job, self._made)
         if ending is None:
             return outcome
         with waiting_for_room():
-            self._chronicle.ended(self._seq, *ending)
+            self._chronicle.ended(self._seq, ending)
             self._outcome = outcome
         return self._outcome or Running(None, "waits for room on the disk")
 
@@ -268,8 +313,8 @@ def _begun(start: Callable[[], Job[Any]]) -> Job[Any]:
         return _Stillborn(_as_failure(error))
 
 
-def _asked(job: Job[Any]) -> tuple[Outcome[Any], tuple[str, str] | None]:
-    """What a job came to, and how and with what that is written down; None while it runs.
+def _asked(job: Job[Any], made: Made | None) -> tuple[Outcome[Any], _Ending | None]:
+    """What a job came to, and how that is written down; None while it runs.
 
     A driver that raises, or gives what could not be told again, has failed: the tree must hear now what it would hear
     in a mission that is resumed.
@@ -277,14 +322,15 @@ def _asked(job: Job[Any]) -> tuple[Outcome[Any], tuple[str, str] | None]:
     try:
         outcome = job.poll()
         if isinstance(outcome, Done):
-            return outcome, ("done", json.dumps(to_json(outcome.value)))
+            files = made(outcome.value) if made is not None else ()
+            return outcome, _Ending("done", json.dumps(to_json(outcome.value)), files)
         if not isinstance(outcome, Failed):
             return outcome, None
-        return outcome, ("failed", json.dumps(to_json(outcome.failure)))
+        return outcome, _Ending("failed", json.dumps(to_json(outcome.failure)))
     except Exception as error:
         job.cancel()
         failure = _as_failure(error)
-        return Failed(failure), ("failed", json.dumps(to_json(failure)))
+        return Failed(failure), _Ending("failed", json.dumps(to_json(failure)))
 
 
 def _as_failure(error: Exception) -> Failure:

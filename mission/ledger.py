@@ -6,51 +6,45 @@ by the same names. All else is written at once, which outlives a process that is
 power cut takes of it, since the last act, is found out or computed again.
 """
 
-import hashlib
 import json
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mission.records import (
+    BEGIN,
+    END,
+    EVENT,
+    FILE,
+    FIRST,
+    FORMAT,
+    NAME,
+    TABLES,
+    JobRow,
+    KeptFile,
+    chained,
+    damage_in,
+    events_in,
+    files_in,
+    format_in,
+    jobs_in,
+    name_in,
+)
 from perception.failure import FailureError
-
-FORMAT = 1
-_FIRST = "0" * 64
-
-_TABLES = """
-CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
-CREATE TABLE job (seq INTEGER PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL, world TEXT NOT NULL,
-                  begun REAL NOT NULL, ended REAL, how TEXT, outcome TEXT);
-CREATE TABLE event (seq INTEGER PRIMARY KEY, body TEXT NOT NULL, hash TEXT NOT NULL);
-"""
 
 
 @dataclass(frozen=True)
-class JobRow:
-    """One job that a leaf began.
+class _Tail:
+    """Where the next record goes: after this one, by its number and hash; and which jobs have no end yet."""
 
-    Args:
-        seq: its place in the order of the mission, from 1.
-        kind: what was asked of whom, such as ``take`` or a stage of the paper.
-        name: of what, stable over restarts: a scan's, a goal's, a room's.
-        world: JSON, what the base said when it was begun.
-        begun, ended: mission seconds; ``ended`` is None while it is not known how it ended.
-        how: ``done``, ``failed`` or ``cancelled``.
-        outcome: JSON (:mod:`mission.values`).
-    """
-
-    seq: int
-    kind: str
-    name: str
-    world: str
-    begun: float
-    ended: float | None = None
-    how: str | None = None
-    outcome: str | None = None
+    seq: int = 0
+    hash: str = FIRST
+    jobs: int = 0
+    open: frozenset[int] = frozenset()
 
 
 class Ledger:
@@ -67,7 +61,8 @@ class Ledger:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = threading.Lock()
-        self._last_hash = _FIRST
+        self._tail = _Tail()
+        self._has_told = False
         self._broken: FailureError | None = None
         self._db = _connected(path)
         try:
@@ -83,89 +78,86 @@ class Ledger:
 
     def _open(self) -> None:
         self._db.execute("BEGIN EXCLUSIVE")
-        if not self._db.execute("SELECT 1 FROM sqlite_master WHERE name = 'about'").fetchone():
-            for statement in _TABLES.split(";"):
+        if format_in(self._db) is None:
+            for statement in TABLES:
                 self._db.execute(statement)
             self._db.execute("INSERT INTO about VALUES ('format', ?)", (str(FORMAT),))
         self._db.execute("COMMIT")
-        (found,) = self._db.execute("SELECT value FROM about WHERE name = 'format'").fetchone()
+        found = format_in(self._db)
         if found != str(FORMAT):
             raise FailureError("LEDGER_BAD", f"{self.path}: expected format {FORMAT}, found {found}")
-        last = self._db.execute("SELECT hash FROM event ORDER BY seq DESC LIMIT 1").fetchone()
-        self._last_hash = last[0] if last else _FIRST
+        self._tail = _tail_of(self._db)
 
     def close(self) -> None:
         """Close the file. Harmless when closed."""
         with self._lock:
             self._db.close()
 
+    def name(self, new: str) -> str:
+        """What the agents know the mission by, over all its lives: ``new`` from now on where it has no name yet."""
+        if name_in(self._db) is None:
+            with self._written(durably=True):
+                self._add(NAME, None, new)
+        return name_in(self._db) or new
+
     # --- jobs ---------------------------------------------------------------------------------------------------------
 
     def begin(self, kind: str, name: str, world: str, at: float, acts: bool = True) -> int:
         """Note that a job is about to be begun, durably if it ``acts`` on the world; its number."""
         with self._written(durably=acts):
-            cursor = self._db.execute(
-                "INSERT INTO job (kind, name, world, begun) VALUES (?, ?, ?, ?)", (kind, name, world, at)
-            )
-        assert cursor.lastrowid is not None
-        return cursor.lastrowid
+            job = self._tail.jobs + 1
+            self._add(BEGIN, job, json.dumps([kind, name, world, at]))
+            self._tail = replace(self._tail, jobs=job, open=self._tail.open | {job})
+        return job
+
+    def keep(self, job: int, files: Sequence[KeptFile]) -> None:
+        """Note the files that a job made, before it is noted that it ended."""
+        with self._written():
+            for file in files:
+                self._add(FILE, job, json.dumps(astuple(file)))
 
     def end(self, seq: int, how: str, outcome: str, at: float) -> None:
         """Note how a job ended; a job ends once."""
         with self._written():
-            self._db.execute(
-                "UPDATE job SET ended = ?, how = ?, outcome = ? WHERE seq = ? AND ended IS NULL",
-                (at, how, outcome, seq),
-            )
+            if seq in self._tail.open:
+                self._add(END, seq, json.dumps([how, outcome, at]))
+                self._tail = replace(self._tail, open=self._tail.open - {seq})
 
     def jobs(self) -> list[JobRow]:
         """All of them in their order."""
-        rows = self._db.execute("SELECT seq, kind, name, world, begun, ended, how, outcome FROM job ORDER BY seq")
-        return [JobRow(*row) for row in rows]
+        return jobs_in(self._db)
+
+    def files(self) -> dict[str, tuple[int, KeptFile]]:
+        """By its path, each file as it was kept last, with the number of the job that made it."""
+        return files_in(self._db)
 
     def newest_time(self) -> float:
         """Mission seconds of the last thing that is known of a job; 0 of a mission that begins."""
-        (newest,) = self._db.execute("SELECT max(coalesce(ended, begun)) FROM job").fetchone()
-        return newest or 0.0
-
-    # --- what does not change -----------------------------------------------------------------------------------------
-
-    def about(self, name: str) -> str | None:
-        """A fact about the mission by its name."""
-        found = self._db.execute("SELECT value FROM about WHERE name = ?", (name,)).fetchone()
-        return found[0] if found else None
-
-    def note(self, name: str, value: str) -> None:
-        """Keep a fact durably, instead of what it was before."""
-        with self._written(durably=True):
-            self._db.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (name, value))
+        return max((job.begun if job.ended is None else job.ended for job in self.jobs()), default=0.0)
 
     # --- events -------------------------------------------------------------------------------------------------------
 
     def append(self, events: Sequence[str]) -> None:
-        """Add events, JSON, each chained to the one before by its hash."""
+        """Add events, JSON. The first of a process are waited for: a mission that told anything is in its ledger."""
         if not events:
             return
-        last = self._last_hash
-        with self._written():
+        with self._written(durably=not self._has_told):
             for body in events:
-                last = chained(last, body)
-                self._db.execute("INSERT INTO event (body, hash) VALUES (?, ?)", (body, last))
-        self._last_hash = last
+                self._add(EVENT, None, body)
+        self._has_told = True
 
     def events(self) -> Iterator[dict[str, Any]]:
-        for (body,) in self._db.execute("SELECT body FROM event ORDER BY seq"):
-            yield json.loads(body)
+        return events_in(self._db)
 
     def damage(self) -> list[str]:
         """What is wrong with the file, in words; nothing when it is whole."""
-        found = [str(row[0]) for row in self._db.execute("PRAGMA integrity_check") if row[0] != "ok"]
-        last = _FIRST
-        for seq, body, has in self._db.execute("SELECT seq, body, hash FROM event ORDER BY seq"):
-            last = chained(last, body)
-            if last != has:
-                return [*found, f"event {seq} is not what was written"]
-        return found
+        return damage_in(self._db)
+
+    def _add(self, sort: str, job: int | None, body: str) -> None:
+        seq = self._tail.seq + 1
+        has = chained(self._tail.hash, seq, sort, job, body)
+        self._db.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?)", (seq, sort, job, body, has))
+        self._tail = replace(self._tail, seq=seq, hash=has)
 
     @contextmanager
     def _written(self, durably: bool = False) -> Iterator[None]:
@@ -178,24 +170,33 @@ class Ledger:
         with self._lock:
             if self._broken is not None:
                 raise self._broken
+            before = self._tail
             try:
                 self._db.execute(f"PRAGMA synchronous={'FULL' if durably else 'NORMAL'}")
                 self._db.execute("BEGIN IMMEDIATE")
                 yield
                 self._db.execute("COMMIT")
             except sqlite3.OperationalError as error:
-                self._roll_back()
+                self._roll_back(before)
                 failure = _failure(self.path, error, otherwise="IO_ERROR")
                 if failure.failure.code != "DISK_FULL":
                     self._broken = failure
                 raise failure from error
             except BaseException:
-                self._roll_back()
+                self._roll_back(before)
                 raise
 
-    def _roll_back(self) -> None:
+    def _roll_back(self, to: _Tail) -> None:
+        self._tail = to
         if self._db.in_transaction:
             self._db.execute("ROLLBACK")
+
+
+def _tail_of(db: sqlite3.Connection) -> _Tail:
+    seq, has = db.execute("SELECT seq, hash FROM record ORDER BY seq DESC LIMIT 1").fetchone() or (0, FIRST)
+    rows = db.execute("SELECT sort, job FROM record WHERE sort IN (?, ?)", (BEGIN, END)).fetchall()
+    begun, ended = (frozenset(job for sort, job in rows if sort == wanted) for wanted in (BEGIN, END))
+    return _Tail(seq, has, len(begun), begun - ended)
 
 
 def _connected(path: Path) -> sqlite3.Connection:
@@ -215,8 +216,3 @@ def _failure(path: Path, error: sqlite3.DatabaseError, otherwise: str) -> Failur
     elif "locked" in words:
         code = "LEDGER_IN_USE"
     return FailureError(code, f"{path}: {words}", path=str(path))
-
-
-def chained(previous: str, body: str) -> str:
-    """The hash of an event that follows the one with hash ``previous``."""
-    return hashlib.sha256(f"{previous}\n{body}".encode()).hexdigest()

@@ -1,6 +1,6 @@
 """The services of a mission whose every job is written in its chronicle, and told from there when it is resumed."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,16 @@ from drivers.interfaces import (
 )
 from drivers.jobs import Job
 from mission.chronicle import Chronicle
+from mission.products import made_by
+from mission.records import KeptFile
+from mission.store import RunFolder
 from perception.failure import FailureError
 from perception.transforms import Matrix
 
 
 def remembering(services: Services, chronicle: Chronicle) -> Services:
-    """The same services, with every job of a leaf in the chronicle."""
+    """The same services, with every job of a leaf in the chronicle, and every act in the journal as well."""
+    chronicle.witnessed_by(services.journal)
     return replace(
         services,
         scanner=RememberedScanner(services.scanner, chronicle),
@@ -107,7 +111,13 @@ class RememberedPerception:
         self._chronicle = chronicle
 
     def submit(self, stage: str, /, **arguments: Any) -> Job[Any]:
-        return self._chronicle.begin(stage, about(arguments), lambda: self._perception.submit(stage, **arguments))
+        def made(value: Any) -> Sequence[KeptFile]:
+            return made_by(RunFolder(self._chronicle.folder), stage, arguments, value)
+
+        def start() -> Job[Any]:
+            return self._perception.submit(stage, **arguments)
+
+        return self._chronicle.begin(stage, about(arguments), start, made=made)
 
 
 class RememberedOperator:

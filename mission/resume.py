@@ -5,14 +5,16 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
+from drivers.disk import writing
 from mission.bulletin import Display
 from mission.config import SiteConfig, load_config
 from mission.fsck import check
+from mission.ledger import Ledger
 from mission.run import Summary, run_mission
-from mission.store import RunFolder
+from mission.store import RunFolder, write_text
 from perception.failure import FailureError
 
 _FINISHED = ("complete", "incomplete")
@@ -26,8 +28,9 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
     It comes back paused, and moves nothing until the operator says to go on, unless ``go_on_at_once``.
 
     Raises:
-        FailureError: ``RUN_UNREADABLE`` when the folder holds no mission that can go on, ``RUN_LOSSY`` when scans of it
-            are lost, ``MISSION_ENDED`` when there is nothing to go on with, ``RESUME_DIVERGED``.
+        FailureError: ``RUN_UNREADABLE`` when the folder holds no mission that can go on, ``RUN_LOSSY`` when files that
+            it needs are lost, ``MISSION_ENDED`` when there is nothing to go on with, ``LEDGER_IN_USE``,
+            ``RESUME_DIVERGED``.
         ConfigError, UnreachableError, NoGoError: as when a mission begins.
     """
     folder = RunFolder(path)
@@ -40,15 +43,26 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
     if outcome in _FINISHED:
         why = f"{path}: this mission has ended: {outcome}; `mission report` writes what it delivers"
         raise FailureError("MISSION_ENDED", why)
+    if found.log:
+        rewrite_log(folder)
     with agents_met(folder) as config:
         return run_mission(config, folder, display, paused=not go_on_at_once)
 
 
 def _outcome(folder: RunFolder) -> str | None:
     with suppress(OSError, ValueError):
-        outcome = json.loads(folder.state.read_text(encoding="utf-8")).get("outcome")
+        state = json.loads(folder.state.read_text(encoding="utf-8"))
+        outcome = state.get("outcome") if isinstance(state, dict) else None
         return None if outcome is None else str(outcome)
     return None
+
+
+def rewrite_log(folder: RunFolder) -> None:
+    """Write the event log anew from the ledger; what was there in its place is put aside, not away."""
+    with writing(folder.events), suppress(FileNotFoundError):
+        folder.events.replace(folder.events.with_suffix(".damaged"))
+    with closing(Ledger(folder.ledger)) as ledger:
+        write_text(folder.events, "".join(f"{json.dumps(event)}\n" for event in ledger.events()))
 
 
 @contextmanager

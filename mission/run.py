@@ -31,8 +31,6 @@ from mission.worker import PerceptionWorker
 from perception.failure import FailureError
 from trees.building import create_root
 
-_NAME = "mission"
-
 
 @dataclass(frozen=True)
 class Summary:
@@ -74,7 +72,7 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
         word, desk = Word(paused), Desk(clock, journal, config.settings.operator.ask)
         console = Console(word, desk)
         stack.enter_context(serving(console, folder.path))
-        name = name_of(ledger)
+        name = ledger.name(new_mission())
         scanner = ScannerClient(config.scanner, sockets=sockets_to(config, config.scanner), mission=name)
         base = BaseClient(config.base, sockets=sockets_to(config, config.base), mission=name)
         stack.callback(base.close)
@@ -119,15 +117,6 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
         state = bulletin.state(executive) | ended
         attempt("state.json does not tell the end", lambda: folder.write_state(state))
     return summarise(folder, state)
-
-
-def name_of(ledger: Ledger) -> str:
-    """What the agents know the mission by, over all lives of its executive; settled before they are told anything."""
-    name = ledger.about(_NAME)
-    if name is None:
-        name = new_mission()
-        ledger.note(_NAME, name)
-    return name
 
 
 def commit(journal: DurableJournal) -> None:

@@ -11,19 +11,24 @@ from mission.commands.common import Json, Out, RunArgument, existing, refusals
 
 
 def fsck(run_folder: RunArgument, as_json: Json = False) -> None:
-    """Look whether a run folder is whole: 0 clean, 3 something is lost but the rest is usable, 1 unusable."""
+    """Look whether a run folder is whole: 0 clean, 3 something is lost but the rest is usable, 1 unusable.
+
+    Nothing is changed, so the folder may lie on read-only media. A mission that is running is refused with 2.
+    """
     from mission.fsck import check
     from mission.store import RunFolder
 
-    found = check(RunFolder(existing(run_folder)))
+    with refusals():
+        found = check(RunFolder(existing(run_folder)))
     if as_json:
-        typer.echo(json.dumps(asdict(found)))
+        typer.echo(json.dumps(asdict(found) | {"next": found.next_step}))
     else:
-        for words in (*found.unusable, *found.lost):
+        for words in (*found.unusable, *found.lost, *found.only_shown, *found.log):
             typer.echo(f"LOST  {words}")
         for words in found.left_over:
             typer.echo(f"left over  {words}")
-        typer.echo(f"{found.scans} scans looked at")
+        typer.echo(f"{found.scans} scans and {found.files} other files looked at")
+        typer.echo(f"next: {found.next_step}" if found.next_step else "clean")
     raise typer.Exit(found.exit_code)
 
 

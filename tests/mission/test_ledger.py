@@ -14,6 +14,7 @@ from drivers.jobs import Done, Failed, Outcome, Running
 from drivers.simulated.clock import VirtualClock
 from mission.chronicle import Chronicle
 from mission.ledger import Ledger
+from mission.records import KeptFile
 from perception.failure import FailureError
 from tests.behaviours.bench import HandJob
 
@@ -54,29 +55,80 @@ def test_mission_time_goes_on_from_the_last_thing_known(path: Path) -> None:
     assert ledger.newest_time() == 46.0
 
 
-def test_events_come_back_in_order_and_a_changed_one_is_found(path: Path) -> None:
+def test_events_come_back_in_order(path: Path) -> None:
     ledger = Ledger(path)
     ledger.append([json.dumps({"n": n}) for n in range(3)])
     ledger.append([json.dumps({"n": 3})])
     assert [event["n"] for event in ledger.events()] == [0, 1, 2, 3]
+
+
+def records_of_every_sort(path: Path) -> None:
+    ledger = Ledger(path)
+    ledger.append(['{"n": 1}'])
+    job = ledger.begin("build_map", "S01 R1 1", "null", 1.0, acts=False)
+    ledger.keep(job, [KeptFile("maps/map.npz", 3, "0" * 64)])
+    ledger.end(job, "done", "1", 2.0)
+    assert ledger.files() == {"maps/map.npz": (job, KeptFile("maps/map.npz", 3, "0" * 64))}
+    ledger.append(['{"n": 2}'])
     assert ledger.damage() == []
     ledger.close()
+
+
+@pytest.mark.parametrize("record", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "forgery",
+    [
+        "UPDATE record SET body = body || ' ' WHERE seq = {0}",
+        "UPDATE record SET sort = 'other' WHERE seq = {0}",
+        "UPDATE record SET job = 9 WHERE seq = {0}",
+        "UPDATE record SET hash = hash || 'a' WHERE seq = {0}",
+        "DELETE FROM record WHERE seq = {0}",
+        "DELETE FROM record WHERE seq = {0}; UPDATE record SET seq = seq - 1 WHERE seq > {0}",
+        "UPDATE record SET seq = seq + 10 WHERE seq >= {0};"
+        " INSERT INTO record SELECT {0}, sort, job, body, hash FROM record WHERE seq = {0} + 10;"
+        " UPDATE record SET seq = seq - 9 WHERE seq >= {0} + 10",
+    ],
+    ids=["body", "sort", "job", "hash", "taken out", "taken out and closed up", "put in"],
+)
+def test_a_record_that_was_altered_taken_out_or_put_in_is_found(path: Path, record: int, forgery: str) -> None:
+    records_of_every_sort(path)
     with sqlite3.connect(path) as forger:
-        forger.execute("UPDATE event SET body = ? WHERE seq = 2", ('{"n": 7}',))
+        forger.executescript(forgery.format(record))
     forger.close()
-    assert Ledger(path).damage() == ["event 2 is not what was written"]
+    (words,) = Ledger(path).damage()
+    assert words.endswith("is not what was written")
+
+
+def test_a_chain_goes_on_in_the_next_process_and_after_a_write_that_failed(path: Path) -> None:
+    records_of_every_sort(path)
+    ledger = Ledger(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mission.ledger.BEGIN", object())  # what no database takes
+        with pytest.raises(sqlite3.Error):
+            ledger.begin("take", "S02", "null", 0.0)
+    assert ledger.begin("take", "S02", "null", 0.0) == 2
+    assert ledger.damage() == []
+
+
+def test_a_ledger_of_another_format_is_refused_by_both_names(path: Path) -> None:
+    with sqlite3.connect(path) as older:
+        older.execute("CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL)")
+        older.execute("INSERT INTO about VALUES ('format', '1')")
+    older.close()
+    with pytest.raises(FailureError, match=r"LEDGER_BAD.*expected format 2, found 1"):
+        Ledger(path)
 
 
 def test_a_second_process_is_turned_away_at_once(path: Path) -> None:
     ledger = Ledger(path)
-    ledger.note("base_epoch", "7")
+    ledger.begin("take", "S01", "null", 0.0)
     again = "from pathlib import Path; import sys; from mission.ledger import Ledger; Ledger(Path(sys.argv[1]))"
     second = subprocess.run(
         [sys.executable, "-c", again, str(path)], capture_output=True, text=True, check=False, cwd=ROOT
     )
     assert "LEDGER_IN_USE" in second.stderr
     ledger.close()
-    assert Ledger(path).about("base_epoch") == "7"
+    assert len(Ledger(path).jobs()) == 1
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,9 @@ from drivers.interfaces import ScanReceipt
 from drivers.wire.endpoints import Endpoints
 from mission.config import SiteConfig, dump_config
 from mission.fsck import check
+from mission.journal import read_events
 from mission.ledger import Ledger
-from mission.resume import resume_run
+from mission.resume import resume_run, rewrite_log
 from mission.store import RunFolder
 from mission.values import to_json
 from perception.failure import FailureError
@@ -28,7 +30,11 @@ def run(tmp_path: Path) -> RunFolder:
     ledger.end(ledger.begin("take", "S01", "null", 0.0), "done", json.dumps(to_json(receipt)), 45.0)
     ledger.end(ledger.begin("fetch", "S01", "null", 45.0), "done", json.dumps(to_json(Path("S01.scan"))), 46.0)
     ledger.begin("take", "S02", "null", 100.0)
+    ledger.append(['{"kind": "mission_started"}'])
     ledger.close()
+    folder.events.write_text('{"kind": "mission_started"}\n')
+    config = SiteConfig(site="kept", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+    folder.config.write_text(dump_config(config))
     return folder
 
 
@@ -85,10 +91,38 @@ def test_a_mission_that_had_begun_nothing_comes_back_paused_too(
 ) -> None:
     """It may have been refused at its start, or have died there; the robot is somebody else's by now, perhaps."""
     folder = RunFolder.at(tmp_path)
-    Ledger(folder.ledger).close()
+    with closing(Ledger(folder.ledger)) as ledger:
+        ledger.append(['{"kind": "preflight"}'])
     site = SiteConfig(site="laboratory", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
     folder.config.write_text(dump_config(site))
     flown: list[bool] = []
     monkeypatch.setattr("mission.resume.run_mission", lambda *_, paused: flown.append(paused))
     resume_run(folder.path, go_on_at_once=go_on_at_once)
     assert flown == [paused]
+
+
+@pytest.mark.parametrize("state", ["null", "[]", "7", "{", ""])
+def test_a_state_that_tells_nothing_does_not_end_a_mission(run: RunFolder, state: str) -> None:
+    """It comes as far as the agents, which are not there."""
+    run.state.write_text(state)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(FailureError, match="AGENT_UNREACHABLE"):
+        patch.setattr("mission.resume.run_mission", refusing)
+        resume_run(run.path)
+
+
+def refusing(*_: object, **__: object) -> None:
+    raise FailureError("AGENT_UNREACHABLE", "nobody is there")
+
+
+def test_an_event_log_that_is_gone_or_damaged_is_written_anew_and_what_was_there_is_put_aside(run: RunFolder) -> None:
+    run.events.write_bytes(b"\xff\xfe\n")
+    rewrite_log(run)
+    assert read_events(run.events) == [{"kind": "mission_started"}]
+    assert (run.path / "events.damaged").read_bytes() == b"\xff\xfe\n"
+    run.events.unlink()
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(FailureError, match="AGENT_UNREACHABLE"):
+        patch.setattr("mission.resume.run_mission", refusing)
+        resume_run(run.path)
+    assert read_events(run.events) == [{"kind": "mission_started"}]
+    with closing(Ledger(run.ledger)) as ledger:
+        assert ledger.damage() == []

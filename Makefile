@@ -19,8 +19,8 @@ test: lint
 	.venv/bin/pytest -n 2 --dist loadgroup
 
 # What is promised in figures, each judged; the first bar that is broken ends it. Minutes first: garbage, ticks, pauses,
-# dead men. Then missions with faults by chance on the virtual clock, at every operation of the disk, over bad links,
-# with processes killed, without each guard; hours of missions for the tables of the README are last.
+# dead men. Then missions with faults by chance on the virtual clock, with deaths and errors at every operation of the disk,
+# over bad links, with processes killed, without each guard; hours of missions for the tables of the README are last.
 campaign: setup
 	.venv/bin/python -m benchmarks.fuzz
 	.venv/bin/python -m benchmarks.tick
@@ -29,6 +29,7 @@ campaign: setup
 	.venv/bin/python -m benchmarks.faults --held
 	.venv/bin/python -m benchmarks.faults --missions 500
 	.venv/bin/python -m benchmarks.degenerate
+	.venv/bin/python -m benchmarks.deaths
 	.venv/bin/python -m benchmarks.disk
 	.venv/bin/python -m benchmarks.chaos --missions 50
 	.venv/bin/python -m benchmarks.kills --kills 200

@@ -3,6 +3,7 @@
 import re
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import campaign, dead_man, degenerate, fuzz, guards, memory, pauses, tick
+from benchmarks import campaign, dead_man, deaths, degenerate, fuzz, guards, memory, pauses, tick
 from benchmarks.pauses import Operator, Round
 from tests.drivers.dead_man import Halt
+from tests.scenarios.deaths import Undisturbed, When
 
 ROOT = Path(__file__).parents[1]
 Patch = pytest.MonkeyPatch
@@ -112,6 +114,13 @@ def grown(patch: Patch, peak: float = 900.0, last: float = 1.0) -> int:
     return memory.main()
 
 
+def resumed(patch: Patch, how: str = "") -> int:
+    patch.setattr(deaths, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
+    patch.setattr(deaths, "whole", lambda: Undisturbed(["write a", "fsync a"], {}))
+    patch.setattr(deaths, "died", lambda clean, point: how if point == (When.AMID, 1) else "")
+    return deaths.main()
+
+
 def late(**changes: object) -> Round:
     return Round(**(vars(GOOD_ROUND) | changes))
 
@@ -138,6 +147,7 @@ BROKEN: dict[str, Callable[[Patch, Path], int]] = {
     "a pose that is no number": lambda patch, tmp: flown(patch, tmp, pose_error_max_deg=float("nan")),
     "a scan in the wrong place": lambda patch, _: placed(patch, "wrong"),
     "a worker of 1.6 GB": lambda patch, _: grown(patch, peak=1600.0),
+    "a mission that a death changed": lambda patch, _: resumed(patch, "goals begun"),
     "a cycle that grows": lambda patch, _: grown(patch, last=1.3),
 }
 KEPT: dict[str, Callable[[Patch, Path], int]] = {
@@ -149,6 +159,7 @@ KEPT: dict[str, Callable[[Patch, Path], int]] = {
     "pauses": lambda patch, _: pausing(patch, GOOD_ROUND, late(activity="idle", on_s=5.0)),
     "campaign": flown,
     "degenerate": lambda patch, _: placed(patch, "REG_DEGENERATE"),
+    "deaths": lambda patch, _: resumed(patch),
     "memory": lambda patch, _: grown(patch),
 }
 
@@ -174,7 +185,19 @@ def in_the_campaign() -> list[str]:
 
 
 def test_whatever_keeps_a_promise_is_in_the_campaign_and_says_how_it_ended() -> None:
-    promises = {"fuzz", "tick", "pauses", "dead_man", "faults", "disk", "guards", "chaos", "kills", "campaign"}
+    promises = {
+        "fuzz",
+        "tick",
+        "pauses",
+        "dead_man",
+        "faults",
+        "deaths",
+        "disk",
+        "guards",
+        "chaos",
+        "kills",
+        "campaign",
+    }
     assert {f"benchmarks.{name}" for name in promises} <= set(in_the_campaign())
     for name in in_the_campaign():
         source = Path(str(import_module(name).__file__)).read_text(encoding="utf-8")

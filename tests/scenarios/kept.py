@@ -107,6 +107,12 @@ class WritingPerception(ScriptedPerception):
         write_arrays(self._folder.voxel_file(room_id, cycle), labels=np.zeros((3, 3, 3), np.uint8))
         return super().label_space(room_id, cycle)
 
+    def choose_view(self, room_id: str, cycle: int, *rest: Any, **more: Any) -> Any:
+        """Of what lies in the folder, whoever labelled it."""
+        if self._folder.voxel_file(room_id, cycle).exists():
+            self._labelled.add((room_id, cycle))
+        return super().choose_view(room_id, cycle, *rest, **more)
+
     def close(self) -> None:
         """There is no process."""
 

@@ -24,6 +24,8 @@ import numpy as np
 
 from drivers.interfaces import DriveGoal
 from drivers.jobs import Outcome
+from drivers.wire.hashing import sha256_of
+from drivers.wire.spool import Spool
 from mission.fsck import check
 from mission.journal import read_events
 from mission.ledger import Ledger
@@ -209,6 +211,7 @@ def die_and_resume(folder: Path, when: When, at: int, clean: Undisturbed) -> Non
     """
     place = Place(folder)
     assert place.live(when, at) == {}, "the mission ended before it died"
+    assert_nothing_is_torn(place)
     told = place.live()
     assert told["outcome"] == "complete", told["outcome"]
     assert told["errors"] == []
@@ -216,6 +219,20 @@ def die_and_resume(folder: Path, when: When, at: int, clean: Undisturbed) -> Non
     found = result(place)
     for name, expected in clean.result.items():
         assert found[name] == expected, f"{name}: {found[name]}, not {expected} as where nobody died"
+
+
+def assert_nothing_is_torn(place: Place) -> None:
+    """Whatever has its name is whole, from the instant of the death on."""
+    spool = Spool(place.disk / "scanner")
+    for path in place.disk.rglob("*"):
+        if path.suffix == ".npz" and ".partial" not in path.name:
+            with np.load(path) as archive:
+                assert all(archive[name].size for name in archive.files), f"{path.name} is torn"
+        elif path.name == "state.json" or (path.suffix == ".json" and path.parent.name == "scanner"):
+            json.loads(path.read_text())
+        elif path.suffix == ".scan" and path.parent.name == "scans":
+            stored = spool.find(path.stem)
+            assert stored is not None and sha256_of(path) == stored.receipt.sha256, f"{path.name} is torn"
 
 
 def assert_whole(place: Place, died: bool) -> None:

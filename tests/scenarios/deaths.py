@@ -87,7 +87,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Devices:
-    """What base and scanner know, which the executive's death does not change."""
+    """What base and scanner know, which the executive's death does not change, and what the watch saw so far."""
 
     pose: tuple[float, float, float]
     odom_from_map: Matrix
@@ -96,21 +96,26 @@ class Devices:
     drives: list[Drive]
     taken: dict[str, Matrix]
     cancelled: frozenset[str]
+    registered: list[str]
+    rooms_ended: dict[str, tuple[str, str]]
 
     @classmethod
     def of(cls, kept: Kept) -> "Devices":
         base, jobs = kept.base, kept.base._jobs
         drives = [Drive(goal, jobs[goal.goal_id].outcome, jobs[goal.goal_id].cancelled) for goal in base.goals]
         cancelled = frozenset(name for name, job in kept.scanner._jobs.items() if job.cancelled)
+        taken, watch = dict(kept.scanner.taken), kept.monitor
         return cls(
-            base.pose, base.odom_from_map, base.was_placed, base.owner, drives, dict(kept.scanner.taken), cancelled
-        )
+            base.pose, base.odom_from_map, base.was_placed, base.owner, drives, taken, cancelled,
+            watch.registered, watch.rooms_ended,
+        )  # fmt: skip
 
     def tell(self, kept: Kept) -> None:
         """Devices that know it; what they were about goes on."""
         base, scanner = kept.base, kept.scanner
         base.pose, base.odom_from_map = self.pose, self.odom_from_map
         base.was_placed, base.owner = self.was_placed, self.owner
+        kept.monitor.registered, kept.monitor.rooms_ended = self.registered, self.rooms_ended
         for drive in self.drives:
             job = kept.script.job("drive", lambda goal=drive.goal: base._arrive(goal))  # type: ignore[misc]
             job.outcome, job.cancelled = drive.outcome, drive.cancelled
@@ -170,7 +175,7 @@ class Place:
 
             def end(code: int) -> NoReturn:
                 self._devices.write_bytes(pickle.dumps(Devices.of(kept)))
-                os._exit(code)
+                os._exit(code if not kept.monitor.breaches else self._fails("; ".join(kept.monitor.breaches)))
 
             disk = MortalDisk(self.disk, when, at, lambda: end(DIED))
             came_to = kept.fly(disk)
@@ -178,9 +183,13 @@ class Place:
             self._told.write_text(json.dumps({"outcome": outcome, "errors": kept.errors, "log": disk.log}))
             end(0)
         except BaseException:
-            self._told.write_text(json.dumps({"error": traceback.format_exc()}))
+            self._fails(traceback.format_exc())
         finally:
             os._exit(1)
+
+    def _fails(self, why: str) -> int:
+        self._told.write_text(json.dumps({"error": why}))
+        return 1
 
 
 @dataclass(frozen=True)

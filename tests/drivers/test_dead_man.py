@@ -3,14 +3,14 @@
 import random
 import time
 from collections.abc import Callable, Iterator
-from itertools import count
+from itertools import count, pairwise
 
 import pytest
 
 from drivers.jobs import Running
 from drivers.wire.base_client import BaseClient
 from tests.drivers.beating import PLACES, TICK_S, goal, load_map
-from tests.drivers.dead_man import FAULTS, Bench, bench, halts_by, halts_by_kill, obeyed_after_takeover
+from tests.drivers.dead_man import FAULTS, Bench, Halt, bench, halts_by, halts_by_kill, obeyed_after_takeover
 from tests.drivers.wire_fakes import IMPATIENT, eventually, failure_of, value_of
 
 pytestmark = pytest.mark.xdist_group("dead man")
@@ -58,7 +58,7 @@ def test_an_owner_who_was_thought_dead_moves_nothing_when_he_comes_back(fault, r
 
 
 def test_an_executive_that_lives_but_may_not_move_stands_with_its_goal_and_goes_on(rig):
-    """The pause, and the interlock of a scan; a stop is obeyed meanwhile."""
+    """The pause, and the interlock of a scan: half a second to rest; a stop is obeyed meanwhile."""
     ticks = count(1)
 
     def tick_until(holds: Callable[[], bool], may_move: bool) -> None:
@@ -69,12 +69,17 @@ def test_an_executive_that_lives_but_may_not_move_stands_with_its_goal_and_goes_
 
         eventually(tick)
 
+    def halt() -> Halt:
+        looked = [time.monotonic()]
+        tick_until(lambda: looked.append(time.monotonic()) or not rig.base.moving, may_move=False)
+        return Halt(looked[-1] - looked[0], max(b - a for a, b in pairwise(looked)))
+
     with rig.agent() as agent:
         client = BaseClient(agent.endpoints, IMPATIENT)
         value_of(client.acquire("pausing"))
         job = client.drive(goal("paused", load_map(rig.map_file), PLACES[1], client))
         tick_until(lambda: rig.base.moving, may_move=True)
-        tick_until(lambda: not rig.base.moving, may_move=False)
+        assert (stood := halt()).kept, stood
         at = rig.base.stance().map_from_base
         tick_until(lambda: client.state().activity == "held", may_move=False)
         tick_until(iter([False] * 10 + [True]).__next__, may_move=False)

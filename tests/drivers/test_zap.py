@@ -2,13 +2,14 @@
 
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from typing import get_args
 
 import pytest
 import zmq
 
-from drivers.agent import base_agent, serve_base
-from drivers.messages import PROTOCOL, AnyReply, Identify, Reply, Request
+from drivers.agent import base_agent, scanner_agent, serve_base
+from drivers.messages import PROTOCOL, AnyReply, Body, Identify, Reply, Request
 from drivers.wire import sockets as sockets_module
 from drivers.wire import zap
 from drivers.wire.codec import Codec, encode
@@ -17,7 +18,8 @@ from drivers.wire.roles import Role
 from drivers.wire.sockets import Sockets
 from drivers.wire.zap import ADDRESS, DOMAIN, Authenticator
 from perception.failure import FailureError
-from tests.drivers.wire_fakes import ANYWHERE, FakeBase, eventually
+from tests.drivers import wire_samples
+from tests.drivers.wire_fakes import ANYWHERE, FakeBase, FakeScanner, eventually
 
 KEY = bytes(range(32))
 GOOD = [b"1.0", b"7", DOMAIN, b"127.0.0.1", b"", b"CURVE", KEY]
@@ -143,9 +145,9 @@ def mortal(keyring: Keyring) -> Mortal:
     return Mortal(keyring.folder)
 
 
-def call(socket: zmq.Socket) -> None:
+def call(socket: zmq.Socket, body: Body | None = None, request_id: str = "r") -> None:
     with suppress(zmq.Again):  # hung up on already
-        socket.send(encode(Request(PROTOCOL, "r", Identify())), zmq.NOBLOCK)
+        socket.send(encode(Request(PROTOCOL, request_id, body or Identify())), zmq.NOBLOCK)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -188,6 +190,31 @@ def test_nobody_new_gets_in_while_there_is_no_judge_even_if_nobody_noticed(keyri
                 call(socket)
                 assert not socket.poll(SILENCE_MS) and not ear.poll(SILENCE_MS)
         inside.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("group", list(wire_samples.REQUESTS))
+def test_without_a_judge_no_operation_of_any_agent_is_done_for_anybody(group, keyrings, monkeypatch, tmp_path):
+    """Asked by one who is paired as much as by a stranger, each on a connection of its own."""
+    monkeypatch.setattr(Authenticator, "mourn", lambda self, died: None)
+    own, base, scanner = mortal(keyrings[0]), FakeBase(), FakeScanner()
+    operations = get_args(wire_samples.REQUESTS[group])
+    with base_agent(base, ANYWHERE, own) as of_base, scanner_agent(scanner, ANYWHERE, tmp_path, own) as of_scanner:
+        address = {
+            "base": of_base.endpoints.control,
+            "scanner": of_scanner.endpoints.control,
+            "bulk": of_scanner.endpoints.bulk,
+        }[group]
+        own.dies = True
+        for keyring in (keyrings[1], Keyring(own.folder.with_name("stranger"))):
+            with ExitStack() as stack:
+                sockets = Sockets(keyring, own.own.public)
+                asking = [stack.enter_context(sockets.dealer(address)) for _ in operations]
+                for number, (socket, body) in enumerate(zip(asking, operations, strict=True)):
+                    call(socket, wire_samples.sample(body), f"r{number}")
+                assert not asking[0].poll(SILENCE_MS)
+                assert [body for socket, body in zip(asking, operations, strict=True) if socket.poll(0)] == []
+        assert (base.driven, base.stops, scanner.started) == ([], 0, [])
 
 
 def test_a_stranger_is_refused_by_each_message_too_should_handshakes_not_be_judged(keyrings, monkeypatch):

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 import yaml
 
 from mission.journal import read_events
+from tests.missions.promises import broken_in
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 240.0
@@ -92,14 +93,16 @@ def simulate(plan: Mapping[str, Any], folder: Path, *more: object) -> subprocess
 
 
 def landed(process: subprocess.Popen[str], folder: Path) -> Flight:
-    """Wait until the command has ended; ``seconds`` are those from now on."""
+    """Wait until the command has ended; ``seconds`` are those from now on. No promise may have been broken."""
     began = time.monotonic()
     try:
         stdout, stderr = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
         process.terminate()
         raise
-    return Flight(process.returncode, stdout, stderr, time.monotonic() - began, folder / "runs")
+    seconds = time.monotonic() - began
+    assert broken_in(folder) == []
+    return Flight(process.returncode, stdout, stderr, seconds, folder / "runs")
 
 
 def wait_until(holds: Callable[[], bool], process: subprocess.Popen[str]) -> None:

@@ -10,6 +10,7 @@ from mission.config import load_config
 from mission.resume import orphans_ended
 from mission.store import RunFolder
 from tests.missions.flights import ENOUGH, TWO_ROOMS, is_listening, is_running, landed, mission, simulate, wait_until
+from tests.missions.promises import broken_in
 
 
 @pytest.mark.parametrize("instant", ["take the scan", "drive under the door"])
@@ -54,6 +55,7 @@ def test_a_run_that_lost_a_scan_says_so_and_is_not_taken_up(tmp_path: Path) -> N
     (run,) = (tmp_path / "runs").iterdir()
     with orphans_ended(RunFolder(run)):
         assert_refused(run)
+    assert broken_in(tmp_path) == []
 
 
 def assert_refused(run: Path) -> None:

@@ -63,6 +63,9 @@ class BadDisk:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         return fails and self._way is Way.SHORT
 
+    def done(self) -> None:
+        """What was asked for has been done: the place of one who waits for that."""
+
     def _is_due(self, what: str) -> bool:
         if self._at is None or self.hit or len(self.log) < self._at:
             return False
@@ -87,16 +90,24 @@ class BadDisk:
 
     def _call(self, name: str, real: Callable[..., Any], target: Any, *rest: Any, **options: Any) -> Any:
         self.asked(name, self._path(target))
-        return real(target, *rest, **options)
+        result = real(target, *rest, **options)
+        self.done()
+        return result
 
     def _open(self, real: Callable[..., int], path: Any, flags: int, *rest: Any, **options: Any) -> int:
-        if flags & (os.O_WRONLY | os.O_RDWR):
+        writes = bool(flags & (os.O_WRONLY | os.O_RDWR))
+        if writes:
             self.asked("open", path)
-        return real(path, flags, *rest, **options)
+        handle = real(path, flags, *rest, **options)
+        if writes:
+            self.done()
+        return handle
 
     def _write(self, real: Callable[..., int], handle: int, data: Any, *rest: Any) -> int:
         short = self.asked("write", self._path(handle))
-        return real(handle, memoryview(data)[:1] if short else data, *rest)
+        written = real(handle, memoryview(data)[:1] if short else data, *rest)
+        self.done()
+        return written
 
     def _path(self, target: Any) -> object:
         return Path(f"/proc/self/fd/{target}").readlink() if isinstance(target, int) else target
@@ -108,13 +119,16 @@ class BadDisk:
             """Writes where SQLite would: at each row, and at the end of a transaction."""
 
             def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
-                if sql.startswith(("INSERT", "UPDATE", "COMMIT")):
-                    try:
-                        disk.asked(sql.partition(" ")[0].lower(), disk._folder / "mission.db")
-                    except OSError as error:
-                        words = "database or disk is full" if error.errno == errno.ENOSPC else "disk I/O error"
-                        raise sqlite3.OperationalError(words) from error
-                return super().execute(sql, *values)
+                if not sql.startswith(("INSERT", "UPDATE", "COMMIT")):
+                    return super().execute(sql, *values)
+                try:
+                    disk.asked(sql.partition(" ")[0].lower(), disk._folder / "mission.db")
+                except OSError as error:
+                    words = "database or disk is full" if error.errno == errno.ENOSPC else "disk I/O error"
+                    raise sqlite3.OperationalError(words) from error
+                cursor = super().execute(sql, *values)
+                disk.done()
+                return cursor
 
         return Connection
 
@@ -127,10 +141,13 @@ class _Raw(io.FileIO):
         super().__init__(path, mode)
         self._disk = disk
         self._path = path
+        disk.done()
 
     def write(self, data: Any) -> int:
         short = self._disk.asked("write", self._path)
-        return super().write(memoryview(data)[:1] if short else data)
+        written = super().write(memoryview(data)[:1] if short else data)
+        self._disk.done()
+        return written
 
 
 def _opening(disk: BadDisk, real: Callable[..., Any]) -> Callable[..., Any]:

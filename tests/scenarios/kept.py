@@ -6,14 +6,16 @@ import logging
 import os
 import signal
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from py_trees.behaviour import Behaviour
 
+from behaviours.services import Services
 from drivers.interfaces import Base, Lease, ScanReceipt
 from drivers.jobs import Progress
 from drivers.messages import PROTOCOL, Body, Open, Read, Reply
@@ -24,9 +26,10 @@ from drivers.wire.transfer import fetch
 from mission import run
 from mission.clock import MissionClock
 from mission.config import SiteConfig
-from mission.executive import TICK
+from mission.executive import TICK, Executive, TickClock
 from mission.journal import JsonLines, plain, read_events
 from mission.ledger import Ledger
+from mission.remembering import remembering
 from mission.run import Summary, run_mission
 from mission.store import RunFolder, save_grid, write_arrays
 from perception.failure import FailureError
@@ -35,6 +38,7 @@ from perception.transforms import Matrix
 from tests.drivers.wire_fakes import make_scan
 from tests.scenarios.bad_disk import BadDisk, Way
 from tests.scenarios.lasting import LastingBase, LastingScanner
+from tests.scenarios.monitor import Monitor
 from tests.scenarios.play import OWNER, TICK_S
 from tests.scenarios.scripted import Script, ScriptedJob, ScriptedPerception
 from tests.scenarios.site import Site, row
@@ -107,6 +111,12 @@ class WritingPerception(ScriptedPerception):
         write_arrays(self._folder.voxel_file(room_id, cycle), labels=np.zeros((3, 3, 3), np.uint8))
         return super().label_space(room_id, cycle)
 
+    def choose_view(self, room_id: str, cycle: int, *rest: Any, **more: Any) -> Any:
+        """Of what lies in the folder, whoever labelled it."""
+        if self._folder.voxel_file(room_id, cycle).exists():
+            self._labelled.add((room_id, cycle))
+        return super().choose_view(room_id, cycle, *rest, **more)
+
     def close(self) -> None:
         """There is no process."""
 
@@ -125,6 +135,7 @@ class Kept:
         self.base = LastingBase(site, self.script, OWNER)
         self.scanner = DeliveringScanner(self.base, self.script, folder / "scanner")
         self.perception = WritingPerception(site, self.scanner, self.script, self.run)
+        self.monitor = Monitor()
         self.errors: list[str] = []
         self.recorded: list[dict[str, Any]] = []
         self._at_risk: list[dict[str, Any]] = []
@@ -141,9 +152,18 @@ class Kept:
             if disk is not None:
                 stack.enter_context(disk.mounted())
             try:
-                return run_mission(config, self.run)
+                summary = run_mission(config, self.run)
             except FailureError as refusal:
                 return refusal
+        self._assert_promises(summary.outcome)
+        return summary
+
+    def _assert_promises(self, outcome: str) -> None:
+        """Nothing was done that must not be; what a disk refused of the ledger tells no more how a job ended."""
+        self.monitor.assert_kept()
+        if outcome in ("complete", "incomplete"):
+            with closing(Ledger(self.run.ledger)) as ledger:
+                self.monitor.assert_at_rest(ledger.jobs())
 
     def _play_the_parts(self, stack: ExitStack, disk: BadDisk | None) -> None:
         def tick(seconds: float) -> None:
@@ -169,6 +189,8 @@ class Kept:
             "preflight": lambda *_: None,
             "ownership": ownership,
             "sockets_to": lambda *_: None,
+            "remembering": lambda services, chronicle: remembering(self.monitor.watch(services), chronicle),
+            "Executive": self._watched,
         }
         stack.enter_context(patch.multiple(run, **parts))
         stack.enter_context(
@@ -178,6 +200,22 @@ class Kept:
         handler = _Errors(self.errors)
         logging.getLogger().addHandler(handler)
         stack.callback(logging.getLogger().removeHandler, handler)
+
+    def _watched(
+        self,
+        root: Behaviour,
+        services: Services,
+        clock: TickClock,
+        command: Callable[[], str],
+        after_tick: Callable[[int], None],
+        *rest: Any,
+    ) -> Executive:
+        def ticked(tick: int) -> None:
+            self.monitor.ticked(tick)
+            after_tick(tick)
+
+        self.monitor.executive = Executive(root, services, clock, self.monitor.hearing(command), ticked, *rest)
+        return self.monitor.executive
 
     def _note_events(self, stack: ExitStack, disk: BadDisk | None) -> None:
         """What is recorded, whatever becomes of it; all that is recorded while the disk is full may be lost."""

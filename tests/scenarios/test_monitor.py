@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -19,6 +20,7 @@ from mission.phase import Phase
 from perception.failure import Failure
 from perception.transforms import planar
 from tests.drivers.wire_fakes import make_goal
+from tests.scenarios.kept import Kept
 from tests.scenarios.play import Play
 from tests.scenarios.scripted import EVER
 from tests.scenarios.site import row
@@ -236,3 +238,9 @@ def test_a_mission_that_breaks_a_promise_is_told_which(breach: Breach, monkeypat
 
 def test_a_mission_that_keeps_them_all_passes() -> None:
     Play(row(1)).run()
+
+
+def test_a_mission_with_a_run_folder_is_watched_too(monkeypatch: Patch, tmp_path: Path) -> None:
+    monkeypatch.setattr(Interlock, "free", True)
+    with pytest.raises(AssertionError, match=BREACHES[moves_while_it_scans]):
+        Kept(tmp_path).fly()

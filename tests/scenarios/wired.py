@@ -25,17 +25,21 @@ from drivers.simulated.clock import ScaledClock
 from drivers.wire.base_client import BaseClient
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.scanner_client import ScannerClient
+from mission.chronicle import Chronicle
 from mission.clock import MissionClock
 from mission.executive import Executive
 from mission.journal import plain
+from mission.ledger import Ledger
 from mission.operator import Desk
 from mission.ownership import ownership
+from mission.remembering import remembering
 from mission.state import describe
 from perception.failure import Failure
 from perception.scan import Scan
 from perception.transforms import Matrix
 from tests.drivers.chaos_link import NONE, ChaosLink, Mischief
 from tests.drivers.wire_fakes import ANYWHERE, make_scan
+from tests.scenarios.monitor import Monitor
 from tests.scenarios.play import Events
 from tests.scenarios.scripted import (
     ODOM_FROM_MAP,
@@ -54,6 +58,7 @@ POINTS = 120_000
 _QUICKER = 5
 """Ticks of the loop in one of the real executive: messages cross each other as often, and nobody has to wait."""
 _TOO_LONG_S = 240.0
+_MOST_TICKS = 20_000
 
 
 class BaseAtSite:
@@ -222,14 +227,30 @@ def fly(folder: Path, seed: str = "", mischief: Mischief = NONE) -> Flown:
                 rig.scanner_client(), base, perception, clock, events, Floor(folder), Settings(),
                 Desk(clock, events, False), owner=lease.owner,
             )  # fmt: skip
-            root = create_root(services.settings)
-            executive = Executive(root, services, clock, after_tick=lambda _: _still_young(began))
-            outcome = executive.run()
+            outcome, executive = _watched(services, clock, began)
         befell = rig.befell
     assert outcome != "fault", str(executive.course.state)
     failures = [f"{event['code']}: {event['message']}" for event in events.of("failure")]
     result = _whatever_the_links(outcome, executive.survey, rig.base.body.goals)
     return Flown(result, rig.executed, befell, failures, time.monotonic() - began)
+
+
+def _watched(services: Services, clock: MissionClock, began: float) -> tuple[str, Executive]:
+    """One mission, remembered as ``mission run`` does, with a watch over all that it asks of its devices."""
+    monitor = Monitor(_MOST_TICKS)
+
+    def after_tick(tick: int) -> None:
+        monitor.ticked(tick)
+        assert time.monotonic() < began + _TOO_LONG_S, "this mission does not end"
+
+    with closing(Ledger(Path(":memory:"))) as ledger:
+        watched = remembering(monitor.watch(services), Chronicle(ledger, clock))
+        command = monitor.hearing(lambda: "run")
+        executive = Executive(create_root(services.settings), watched, clock, command, after_tick)
+        monitor.executive = executive
+        outcome = executive.run()
+        monitor.assert_at_rest(ledger.jobs())
+    return outcome, executive
 
 
 def _whatever_the_links(outcome: str, survey: Survey, goals: list[DriveGoal]) -> Any:
@@ -239,7 +260,3 @@ def _whatever_the_links(outcome: str, survey: Survey, goals: list[DriveGoal]) ->
         del scan["started"], scan["ended"]
     places = [(goal.goal_id, round(goal.x, 9), round(goal.y, 9)) for goal in goals]
     return json.loads(json.dumps([outcome, told, places], default=plain))
-
-
-def _still_young(began: float) -> None:
-    assert time.monotonic() < began + _TOO_LONG_S, "this mission does not end"

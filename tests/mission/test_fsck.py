@@ -122,6 +122,16 @@ def test_a_ledger_of_another_format_is_refused_by_both_names(run: RunFolder) -> 
     assert check(run).unusable == (f"{run.ledger}: expected format 2, found 1",)
 
 
+def test_a_header_that_denies_the_write_ahead_log_is_damage(run: RunFolder) -> None:
+    """The next to open it would throw away what is in there."""
+    content = bytearray(run.ledger.read_bytes())
+    assert content[18:20] == b"\2\2"
+    content[18:20] = b"\1\1"
+    run.ledger.write_bytes(content)
+    (words,) = check(run).unusable
+    assert "expected a write-ahead log, found the mode 'delete'" in words
+
+
 @pytest.mark.parametrize(
     ("acts", "code", "words"),
     [

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 
 from mission.fsck import Verdict, check
@@ -248,3 +249,7 @@ def test_a_file_that_a_later_job_may_have_written_without_living_to_tell_is_beli
     assert check(run).exit_code == code
     rewrite(first, second.read_bytes()[:-9])
     assert check(run).exit_code == 3
+    np.savez(first, labels=np.zeros(1000, np.uint8))
+    middle = first.stat().st_size // 2
+    rewrite(first, first.read_bytes()[:middle] + b"\x01" + first.read_bytes()[middle + 1 :])
+    assert (" bytes, found " if later == "done" else "labels.npy damaged") in check(run).lost[0]

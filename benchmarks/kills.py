@@ -27,7 +27,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ from drivers.simulated.worlds import load_world
 from mission.commands.common import UNREACHABLE
 from mission.journal import read_events
 from perception import transforms
-from tests.missions.flights import ENOUGH, PATIENCE_S, TWO_ROOMS, free_ports, mission, write_site
+from tests.missions.flights import ENOUGH, PATIENCE_S, TWO_ROOMS, free_ports, freeze, mission, worker_of, write_site
 from tests.missions.promises import moved_amiss
 
 VICTIMS = ("executive", "worker", "scanner", "base")
@@ -107,18 +107,9 @@ class Rig:
         if victim != "worker":
             self.processes[victim].wait()
 
-    def freeze(self, pid: int, seconds: float) -> None:
-        """Let a process stand still for so long, and go on."""
-        os.kill(pid, signal.SIGSTOP)
-        try:
-            time.sleep(seconds)
-        finally:
-            with suppress(ProcessLookupError):  # its executive has killed a worker that did not end
-                os.kill(pid, signal.SIGCONT)
-
     def pid(self, victim: str) -> int | None:
         """None where there is nothing to strike: an executive that has no worker just now."""
-        return self._worker() if victim == "worker" else self.processes[victim].pid
+        return worker_of(self.processes["executive"].pid) if victim == "worker" else self.processes[victim].pid
 
     def start_again(self, victim: str) -> None:
         """What an operator does about a process that died; the worker is its executive's business."""
@@ -145,15 +136,6 @@ class Rig:
         """An agent says where it listens when it is up."""
         said = self.processes[name].stdout
         assert said is not None and said.readline(), f"the {name}'s agent did not come up"
-
-    def _worker(self) -> int | None:
-        """The executive's child that does the thinking, while it has one."""
-        executive = self.processes["executive"].pid
-        children = Path(f"/proc/{executive}/task/{executive}/children").read_text().split()
-        for pid in map(int, children):
-            if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-                return pid
-        return None
 
 
 @dataclass(frozen=True)
@@ -332,7 +314,7 @@ def _struck(up: Rig, strike: Strike) -> Iterator[Kill]:
     stored = frozenset(up.stored())
     yield Kill(strike, node, stored, taken_in(read_truth(up.truth)))
     if strike.signal == "STOP":
-        up.freeze(pid, strike.seconds)
+        freeze(pid, strike.seconds)
 
 
 def _ended(up: Rig) -> tuple[int, str]:

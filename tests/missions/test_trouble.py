@@ -15,14 +15,20 @@ from tests.missions.flights import (
     ONE_ROOM,
     Flight,
     agents,
+    freeze,
     is_listening,
     is_running,
     landed,
     mission,
     simulate,
     wait_until,
+    worker_of,
     write_site_of_nobody,
 )
+from tests.missions.promises import broken_in
+
+FROZEN_S = 0.8
+"""Longer than the base waits for a beat, shorter than anybody is given up."""
 
 
 def saved_world(folder: Path) -> Path:
@@ -83,10 +89,18 @@ def test_with_a_scanner_that_fails_its_self_test_nothing_begins(tmp_path: Path) 
 
 
 def test_agents_serve_one_mission_after_another_until_one_of_them_dies(tmp_path: Path) -> None:
+    """In the first one each process freezes for a while, which costs no more than that."""
     first, second = tmp_path / "first", tmp_path / "second"
     with agents(saved_world(tmp_path), tmp_path) as up:
-        flight = landed(mission("run", up.site, f"--out={first / 'runs'}", "--json", f"--set={AT_ONCE}"), first)
+        process = mission("run", up.site, f"--out={first / 'runs'}", "--json", f"--set={AT_ONCE}")
+        wait_until(lambda: is_running(first / "runs", "take the scan"), process)
+        worker = worker_of(process.pid)
+        assert worker is not None
+        for pid in (up.base.pid, process.pid, up.scanner.pid, worker):
+            freeze(pid, FROZEN_S)
+        flight = landed(process, first)
         assert flight.code == 0, flight.stderr
+        assert broken_in(tmp_path) == []
         assert [room["scans"] for room in flight.said["rooms"]] == [1]
         assert (flight.folder / "building.e57").is_file()
         assert (flight.folder / "report.html").is_file()

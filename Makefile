@@ -20,7 +20,7 @@ test: lint
 
 # What is promised in figures, each judged; the first bar that is broken ends it. Minutes first: garbage, ticks, pauses,
 # dead men. Then missions with faults by chance on the virtual clock, with deaths and errors at every operation of the disk,
-# over bad links, with processes killed, without each guard; hours of missions for the tables of the README are last.
+# over bad links, with processes killed and frozen, without each guard; hours of missions for the tables of the README are last.
 campaign: setup
 	.venv/bin/python -m benchmarks.fuzz
 	.venv/bin/python -m benchmarks.tick
@@ -33,6 +33,7 @@ campaign: setup
 	.venv/bin/python -m benchmarks.disk
 	.venv/bin/python -m benchmarks.chaos --missions 50
 	.venv/bin/python -m benchmarks.kills --kills 200
+	.venv/bin/python -m benchmarks.kills --kills 100 --signal BOTH --for 8
 	.venv/bin/python -m benchmarks.guards
 	.venv/bin/python -m benchmarks.campaign
 

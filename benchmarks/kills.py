@@ -3,7 +3,8 @@
 ``python -m benchmarks.kills --kills 200``: simulated missions through two rooms, with agents in processes of their own;
 in each, several processes are killed at seeded instants, the next one no sooner than the last one was started again.
 The harness does what an operator would: takes the mission up with ``mission resume RUN --auto-resume``, or starts the
-agent again where it listened. The simulator's log judges:
+agent again where it listened. With ``--signal STOP`` they are frozen (SIGSTOP) for up to ``--for`` seconds instead and
+then let go on (SIGCONT), which nobody does anything about; ``--signal BOTH`` draws which. The simulator's log judges:
 
 * no scan that the scanner had stored is missing in the survey, none of them was taken twice, no goal begun twice;
 * the mission ends complete, the run folder is clean, and has the rooms and doors of the undisturbed mission;
@@ -37,12 +38,15 @@ import yaml
 from drivers.simulated.truth_log import read_truth
 from drivers.simulated.world import save_world
 from drivers.simulated.worlds import load_world
+from drivers.wire.naming import own_name
 from mission.commands.common import UNREACHABLE
 from mission.journal import read_events
 from perception import transforms
-from tests.missions.flights import ENOUGH, PATIENCE_S, TWO_ROOMS, free_ports, mission, write_site
+from tests.missions.flights import ENOUGH, PATIENCE_S, TWO_ROOMS, free_ports, freeze, mission, worker_of, write_site
+from tests.missions.promises import moved_amiss
 
 VICTIMS = ("executive", "worker", "scanner", "base")
+SIGNALS = ("KILL", "STOP")
 SPEED = 20.0
 CHANGES = (
     ENOUGH,
@@ -99,15 +103,14 @@ class Rig:
         for name in ("base", "scanner"):
             self._await(name)
 
-    def kill(self, victim: str) -> bool:
-        """False where there is nothing to kill: an executive that has no worker just now."""
-        pid = self._worker() if victim == "worker" else self.processes[victim].pid
-        if pid is None:
-            return False
+    def kill(self, victim: str, pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
         if victim != "worker":
             self.processes[victim].wait()
-        return True
+
+    def pid(self, victim: str) -> int | None:
+        """None where there is nothing to strike: an executive that has no worker just now."""
+        return worker_of(self.processes["executive"].pid) if victim == "worker" else self.processes[victim].pid
 
     def start_again(self, victim: str) -> None:
         """What an operator does about a process that died; the worker is its executive's business."""
@@ -122,7 +125,7 @@ class Rig:
 
     def stored(self) -> set[str]:
         """Scans that the scanner's agent has, for good."""
-        return {path.stem for path in (self.truth / "spool").glob("*.json")}
+        return {own_name(path.stem) for path in (self.truth / "spool").glob("*.json")}
 
     def end(self) -> None:
         for process in self.processes.values():
@@ -135,29 +138,38 @@ class Rig:
         said = self.processes[name].stdout
         assert said is not None and said.readline(), f"the {name}'s agent did not come up"
 
-    def _worker(self) -> int | None:
-        """The executive's child that does the thinking, while it has one."""
-        executive = self.processes["executive"].pid
-        children = Path(f"/proc/{executive}/task/{executive}/children").read_text().split()
-        for pid in map(int, children):
-            if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-                return pid
-        return None
+
+@dataclass(frozen=True)
+class Strike:
+    """Who is struck, how many seconds after the strike before, how, and for how long where it is not for good."""
+
+    victim: str
+    wait: float
+    signal: str = "KILL"
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
 class Kill:
-    """A process that was killed: what the mission did then, and what the scanner had and had done.
+    """A process that was killed, or frozen for a while: what the mission did, what the scanner had and had done.
 
     Args:
         stored: scans that the scanner's agent had for good.
         taken: how often each scan had been taken.
     """
 
-    victim: str
+    strike: Strike
     node: str
     stored: frozenset[str]
     taken: Counter[str]
+
+    @property
+    def victim(self) -> str:
+        return self.strike.victim
+
+    def __str__(self) -> str:
+        for_s = f" for {self.strike.seconds:.1f} s" if self.strike.signal == "STOP" else ""
+        return f"{self.victim} at '{self.node}'{for_s}"
 
 
 class BrokenOffError(Exception):
@@ -188,7 +200,7 @@ class Flight:
 
     def driven(self) -> Counter[str]:
         """How often each goal was begun; a base that is killed on its way never writes that a drive ended."""
-        return Counter(str(event["goal_id"]) for event in self.truth if event["event"] == "drive_begun")
+        return Counter(own_name(event["goal_id"]) for event in self.truth if event["event"] == "drive_begun")
 
     def failures(self) -> list[str]:
         """What failed on the way, in the mission's words."""
@@ -202,7 +214,7 @@ class Flight:
 
     def pose_errors(self) -> list[float]:
         """Metres from each scan's pose to where it was taken, in the frame of the first."""
-        last_taken = {str(event["scan_id"]): event for event in self.truth if event["event"] == "scan"}
+        last_taken = {own_name(event["scan_id"]): event for event in self.truth if event["event"] == "scan"}
         scans = self.state.get("scans", ())
         truth = [np.array(last_taken[scan["scan_id"]]["world_from_scanner"]) for scan in scans]
         found = [np.array(scan["map_from_scanner"]) for scan in scans]
@@ -217,7 +229,7 @@ def broken_promises(flight: Flight, whole: Flight | None) -> list[str]:
     kept = {*listed, *flight.state.get("scans_without_place", ())}
     lost, invented = set(flight.taken()) - kept, kept - set(flight.taken())
     # A scan that was under way when the scanner's computer died was in no hands yet: it is taken by its name again.
-    deaths = sum(kill.victim == "scanner" for kill in flight.kills)
+    deaths = sum(kill.victim == "scanner" and kill.strike.signal == "KILL" for kill in flight.kills)
     often = {name for name, count in flight.taken().items() if count > 1 + deaths}
     again = {name for kill in flight.kills for name in kill.stored if flight.taken()[name] > kill.taken[name]}
     moved = [name for name, count in flight.driven().items() if count > 1]
@@ -226,6 +238,7 @@ def broken_promises(flight: Flight, whole: Flight | None) -> list[str]:
     found += [f"scans taken twice: {sorted(often | again)}"] * bool(often or again)
     found += [f"scans listed twice: {listed}"] * (len(listed) != len(set(listed)))
     found += [f"goals begun twice: {moved}"] * bool(moved)
+    found += moved_amiss(flight.truth)
     if listed and not invented:
         worst = max(flight.pose_errors())
         found += [f"a pose is {worst:.3f} m off"] * (worst > POSE_M)
@@ -255,8 +268,8 @@ def rig(folder: Path, world: Path) -> Iterator[Rig]:
         built.end()
 
 
-def fly(world: Path, plan: Iterable[tuple[str, float]] = ()) -> Flight:
-    """One mission; each victim of the plan is killed so many seconds after the first scan's order, or the last kill.
+def fly(world: Path, plan: Iterable[Strike] = ()) -> Flight:
+    """One mission; each victim of the plan is struck so many seconds after the first scan's order, or the last strike.
 
     Raises:
         BrokenOffError: where it came to no end that could be judged.
@@ -269,14 +282,15 @@ def fly(world: Path, plan: Iterable[tuple[str, float]] = ()) -> Flight:
         raise BrokenOffError(repr(error), kills) from error
 
 
-def _flown(up: Rig, plan: Iterable[tuple[str, float]], kills: list[Kill]) -> Flight:
+def _flown(up: Rig, plan: Iterable[Strike], kills: list[Kill]) -> Flight:
     flags = ("--unattended", "--json", *(f"--set={change}" for change in CHANGES))
     up.start("executive", "run", up.site, f"--out={up.folder / 'runs'}", *flags)
-    for victim, wait in plan:
-        if not _lives_until(up, wait):
+    for strike in plan:
+        if not _lives_until(up, strike.wait):
             break
-        kills += _killed(up, victim)
-        up.start_again(victim)
+        kills += _struck(up, strike)
+        if strike.signal == "KILL":
+            up.start_again(strike.victim)
     code, words = _ended(up)
     if code == 0:
         code, words = _looked_through(up.run)
@@ -291,13 +305,17 @@ def _looked_through(run: Path) -> tuple[int, str]:
     return fsck.returncode, f"fsck: {said}{errors}"
 
 
-def _killed(up: Rig, victim: str) -> Iterator[Kill]:
-    node = _doing(up.run)
-    if not up.kill(victim):
+def _struck(up: Rig, strike: Strike) -> Iterator[Kill]:
+    node, pid = _doing(up.run), up.pid(strike.victim)
+    if pid is None:
         return
+    if strike.signal == "KILL":
+        up.kill(strike.victim, pid)
     # Stored is read before taken: what the scanner takes in between was then not stored yet.
     stored = frozenset(up.stored())
-    yield Kill(victim, node, stored, taken_in(read_truth(up.truth)))
+    yield Kill(strike, node, stored, taken_in(read_truth(up.truth)))
+    if strike.signal == "STOP":
+        freeze(pid, strike.seconds)
 
 
 def _ended(up: Rig) -> tuple[int, str]:
@@ -312,7 +330,7 @@ def _ended(up: Rig) -> tuple[int, str]:
 
 
 def taken_in(truth: Iterable[dict[str, Any]]) -> Counter[str]:
-    return Counter(str(event["scan_id"]) for event in truth if event["event"] == "scan")
+    return Counter(own_name(event["scan_id"]) for event in truth if event["event"] == "scan")
 
 
 def _lives_until(up: Rig, instant: float) -> bool:
@@ -354,15 +372,15 @@ def main() -> int:
         print(f"worst pose {1000 * max(whole.pose_errors()):.1f} mm; kills are spread over {lasts} s", flush=True)
         while died.total() < options.kills and missions < most and time.monotonic() < until:
             seed = options.seed + missions
-            kills, promises = _tried(world, ordeal(seed, lasts, options.each, options.victim), whole)
+            kills, promises = _tried(world, ordeal(seed, lasts, options), whole)
             missions += 1
             broken += bool(promises)
             died.update(kill.victim for kill in kills)
-            told = ", ".join(f"{kill.victim} at '{kill.node}'" for kill in kills)
-            print(f"{seed}: {told or 'over before any kill'}: {'; '.join(promises) or 'kept'}", flush=True)
+            told = ", ".join(map(str, kills))
+            print(f"{seed}: {told or 'over before any strike'}: {'; '.join(promises) or 'kept'}", flush=True)
             if promises:
-                print(f"  again: {_command(seed, lasts, options.each, options.victim)}", flush=True)
-    print(f"{missions} missions, {broken} broke a promise; killed: {', '.join(f'{v} {died[v]}' for v in VICTIMS)}")
+                print(f"  again: {_command(seed, lasts, options)}", flush=True)
+    print(f"{missions} missions, {broken} broke a promise; struck: {', '.join(f'{v} {died[v]}' for v in VICTIMS)}")
     return 1 if broken else 0
 
 
@@ -373,16 +391,25 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--each", type=int, default=4, help="kills in each mission, if it lasts that long")
     parser.add_argument("--seed", type=int, default=0, help="of the first mission")
     parser.add_argument("--victim", choices=VICTIMS, help="only this one")
+    parser.add_argument(
+        "--signal", choices=(*SIGNALS, "BOTH"), default="KILL", help="kill, freeze, or either by chance"
+    )
+    parser.add_argument("--for", dest="longest", type=float, default=8.0, help="seconds to freeze for at most")
     parser.add_argument("--lasts", type=float, help="seconds to spread kills over; as measured by default")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no mission after so many")
     return parser.parse_args()
 
 
-def ordeal(seed: int, lasts: float, each: int, victim: str | None) -> list[tuple[str, float]]:
-    """Who is killed, and how many seconds after the one before; the same whenever it is drawn."""
+def ordeal(seed: int, lasts: float, options: argparse.Namespace) -> list[Strike]:
+    """Who is struck, when and how; the same whenever it is drawn."""
     chance = random.Random(seed)
-    victims = [victim or chance.choice(VICTIMS) for _ in range(each)]
-    return [(name, chance.uniform(0.0, 1.5 * lasts / each)) for name in victims]
+    victims = [options.victim or chance.choice(VICTIMS) for _ in range(options.each)]
+    waits = [chance.uniform(0.0, 1.5 * lasts / options.each) for _ in victims]
+    if options.signal == "KILL":
+        return [Strike(victim, wait) for victim, wait in zip(victims, waits, strict=True)]
+    signals = [chance.choice(SIGNALS) if options.signal == "BOTH" else "STOP" for _ in victims]
+    seconds = [chance.uniform(0.3, options.longest) for _ in victims]
+    return [Strike(*drawn) for drawn in zip(victims, waits, signals, seconds, strict=True)]
 
 
 def undisturbed(world: Path) -> Flight:
@@ -403,13 +430,14 @@ def _built(folder: Path) -> Path:
     return world
 
 
-def _command(seed: int, lasts: float, each: int, victim: str | None) -> str:
-    only = f" --victim {victim}" if victim else ""
-    return f"python -m benchmarks.kills --missions 1 --each {each} --seed {seed} --lasts {lasts}{only}"
+def _command(seed: int, lasts: float, options: argparse.Namespace) -> str:
+    only = f" --victim {options.victim}" if options.victim else ""
+    how = "" if options.signal == "KILL" else f" --signal {options.signal} --for {options.longest}"
+    return f"python -m benchmarks.kills --missions 1 --each {options.each} --seed {seed} --lasts {lasts}{only}{how}"
 
 
-def _tried(world: Path, plan: Iterable[tuple[str, float]], whole: Flight) -> tuple[tuple[Kill, ...], list[str]]:
-    """Who was killed, and which promises were broken."""
+def _tried(world: Path, plan: Iterable[Strike], whole: Flight) -> tuple[tuple[Kill, ...], list[str]]:
+    """Who was struck, and which promises were broken."""
     try:
         flight = fly(world, plan)
     except BrokenOffError as broken:

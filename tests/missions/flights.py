@@ -1,12 +1,14 @@
 """Small buildings and whole missions through them: real processes, real sockets, from the command to its exit code."""
 
 import json
+import os
+import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -43,8 +45,6 @@ ONE_ROOM: dict[str, Any] = {
 }
 ENOUGH = "settings.room.predicted_rate=0.05"
 """A room ends with the scan after which no view promises more: two scans each, in place of three."""
-AT_ONCE = "settings.room.predicted_rate=0.99"
-"""A room ends with its first scan."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,25 @@ def is_running(out: Path, node: str) -> bool:
     logs = out.glob("*/events.jsonl")
     events = (event for log in logs for event in read_events(log))
     return any(event["kind"] == "node" and event["node"] == node and event["after"] == "RUNNING" for event in events)
+
+
+def freeze(pid: int, seconds: float) -> None:
+    """Let a process stand still for so long, and go on."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        time.sleep(seconds)
+    finally:
+        with suppress(ProcessLookupError):  # its executive has killed a worker that did not end
+            os.kill(pid, signal.SIGCONT)
+
+
+def worker_of(executive: int) -> int | None:
+    """The executive's child that does the thinking, while it has one."""
+    children = Path(f"/proc/{executive}/task/{executive}/children").read_text().split()
+    for pid in map(int, children):
+        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
+            return pid
+    return None
 
 
 def is_listening(endpoint: str) -> bool:

@@ -29,7 +29,13 @@ def broken_by_devices(truth: Iterable[Event]) -> list[str]:
     goals = Counter(str(event["goal_id"]) for event in events if event["event"] == "drive_begun")
     found = [f"scan {name} was taken {count} times" for name, count in scans.items() if count > 1]
     found += [f"goal {name} was begun {count} times" for name, count in goals.items() if count > 1]
-    found += [f"scan {event['scan_id']} was taken in motion" for event in events if event.get("moving")]
+    return found + moved_amiss(events)
+
+
+def moved_amiss(truth: Iterable[Event]) -> list[str]:
+    """Whoever died on the way: no scan in motion, none on the way to a goal, no collision."""
+    events = list(truth)
+    found = [f"scan {event['scan_id']} was taken in motion" for event in events if event.get("moving")]
     found += [f"the base ran into something at {event['pose']}" for event in events if event["event"] == "collision"]
     return found + _scanned_on_the_way(events)
 

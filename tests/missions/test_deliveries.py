@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from drivers import scan_file
+from drivers.wire.naming import full_name
 from mission.config import load_config
 from mission.export.ros_map import read_ros_map
 from mission.store import RunFolder, load_grid, load_space, read_arrays
@@ -91,10 +92,10 @@ def test_no_node_is_left_running(flown: Flight) -> None:
 
 
 def test_every_scan_is_kept_as_it_was_taken(flown: Flight) -> None:
-    run = RunFolder(flown.folder)
+    run, (started,) = RunFolder(flown.folder), flown.events_of("mission_started")
     for scan_id in scan_ids(flown):
         scan = scan_file.read(run.scan_file(scan_id))
-        assert scan.scan_id == scan_id
+        assert scan.scan_id == full_name(started["mission"], scan_id)
         assert len(scan.points) > 100_000
 
 

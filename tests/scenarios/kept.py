@@ -189,6 +189,7 @@ class Kept:
             "preflight": lambda *_: None,
             "ownership": ownership,
             "sockets_to": lambda *_: None,
+            "new_mission": lambda: "kept",
             "remembering": lambda services, chronicle: remembering(self.monitor.watch(services), chronicle),
             "Executive": self._watched,
         }

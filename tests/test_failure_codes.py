@@ -1,4 +1,7 @@
-"""Every failure code of the program has its row in the operator's guide, and a test that expects it."""
+"""Every failure code of the program has its row in the operator's guide, and a test that expects it.
+
+A code that a mission can meet is expected in a scenario or an end-to-end mission, all others in a test of any kind.
+"""
 
 import ast
 import re
@@ -13,6 +16,37 @@ FLOORS = ("perception", "drivers", "behaviours", "trees", "mission")
 GUIDE = ROOT / "docs" / "operations.md"
 FAILURES = frozenset({"FailureError", "Failure", "Problem"})
 CODE = re.compile(r"[A-Z][A-Z0-9_]{3,}")
+NO_SCENARIO = {
+    "BAD_TRANSFORM": "decoding a message refuses it; the mission meets BAD_MESSAGE",
+    "AUTHENTICATOR_DIED": "ends the agent's process; the mission meets an agent that is gone",
+    "BUILDING_": "the graph of rooms is asked for one that it never had: an error of the program, not of a day",
+    "LEAF_STATUS": "no leaf of the tree gives no status: the base leaf guards those that are still to be written",
+    "TIMEOUT": "every leaf of the tree that waits has a code of its own: the base leaf's for those to be written",
+    "REG_NO_GUESS": "only the very first scan has no guess, and that one is anchored, not registered",
+    "NO_DOOR_LEFT": "the orderly end of a loop, which no log and no report calls a failure",
+    "NO_SUSPECT_LEFT": "the orderly end of a loop, which no log and no report calls a failure",
+    "COVERAGE_": "the evaluation's, after a mission",
+    "EXPORT_": "of a command on a run folder, after a mission",
+    "MAP_UNREADABLE": "of a command on an exported map, after a mission",
+    "RUN_": "of commands that open a run folder before a mission",
+    "LEDGER_IN_USE": "of the start: the mission is run already, and nothing of this one begins",
+    "MISSION_ENDED": "of `mission resume`, where there is nothing to go on with",
+    "MISSION_ENDING": "told to an operator whose word comes too late; the mission does not meet it",
+    "EXECUTIVE_SILENT": "told to an operator by a command",
+    "NO_EXECUTIVE": "told to an operator by a command",
+    "NO_SUCH_": "told to an operator by a command",
+    "ENDPOINT_": "of an agent's start",
+    "KEY_": "of the commands for keys",
+    "KEYS_": "of the commands for keys, and of an agent's start",
+    "NAME_": "of the commands for keys",
+    "ROLE_INVALID": "of the commands for keys",
+    "TOO_MANY_KEYS": "of the commands for keys",
+    "RECORDED_": "of `mission process`, which drives nothing",
+    "ORIGIN_UNKNOWN": "of `mission process`, which drives nothing",
+    "PROFILE_UNKNOWN": "of a simulation's start",
+    "WORLD_": "of a simulation's start",
+}
+"""Codes, and prefixes that end with ``_``, for which a unit test suffices; and why."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -105,12 +139,14 @@ def rows() -> list[tuple[list[str], list[str]]]:
 
 
 @cache
-def expected_in_tests() -> frozenset[str]:
+def expected_in_tests(*folders: str) -> frozenset[str]:
     """Codes in what a test asserts, in what it wants an exception to match, and in its parameters.
 
-    A code that a test only hands to the program, or has in its docstring, is not expected by it.
+    Of the tests in some folders, or of all. A code that a test only hands to the program, or has in its docstring, is
+    not expected by it.
     """
-    paths = [path for path in (ROOT / "tests").rglob("*.py") if path != Path(__file__)]
+    places = [ROOT / "tests" / folder for folder in folders] or [ROOT / "tests"]
+    paths = [path for place in places for path in place.rglob("*.py") if path != Path(__file__)]
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in paths]
     said = [part for tree in trees for node in ast.walk(tree) for part in expectations(node)]
     words = [node.value for part in said for node in ast.walk(part) if isinstance(node, ast.Constant)]
@@ -127,6 +163,15 @@ def expectations(node: ast.AST) -> list[ast.AST]:
     return [keyword.value for keyword in node.keywords if keyword.arg == "match"]
 
 
+def belongs(code: str, name: str) -> bool:
+    """Whether a code is the one of this name, or of its family."""
+    return code == name or (name.endswith("_") and code.startswith(name))
+
+
+def needs_no_scenario(code: str) -> bool:
+    return any(belongs(code, name) for name in NO_SCENARIO)
+
+
 def test_codes_are_found_however_they_reach_their_failure() -> None:
     """A literal, a gate of its own, a gate elsewhere, a choice, a name, an attribute, a row: one of each."""
     ways = {"NAV_NO_PATH", "REG_INCONSISTENT", "SCAN_TRUNCATED", "NAV_BLOCKED", "SCAN_MOVED", "DISK_FULL"}
@@ -138,6 +183,20 @@ def test_codes_are_found_however_they_reach_their_failure() -> None:
 def test_each_code_is_explained_and_expected(code: str) -> None:
     assert [code in named for named, _ in rows()].count(True) == 1, "it needs one row in docs/operations.md"
     assert code in expected_in_tests(), "it needs a test"
+
+
+@pytest.mark.parametrize("code", sorted(code for code in codes() if not needs_no_scenario(code)))
+def test_each_code_that_a_mission_can_meet_is_expected_in_a_mission(code: str) -> None:
+    assert code in expected_in_tests("scenarios", "missions"), "it needs a scenario, or a reason in NO_SCENARIO"
+
+
+def test_what_needs_no_scenario_exists_and_has_none() -> None:
+    """A reason that is none any more goes."""
+    in_missions = expected_in_tests("scenarios", "missions")
+    for name in NO_SCENARIO:
+        family = {code for code in codes() if belongs(code, name)}
+        assert family, f"{name} is no code"
+        assert family - in_missions, f"{name} has a scenario by now"
 
 
 def test_the_guide_knows_no_code_that_does_not_exist() -> None:

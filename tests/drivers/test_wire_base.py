@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -72,9 +72,9 @@ def client(agent):
     client.close()
 
 
-def owner(endpoints: Endpoints) -> BaseClient:
+def owner(endpoints: Endpoints, mission: str = "") -> BaseClient:
     """A client that has the lease."""
-    client = BaseClient(endpoints, QUICK)
+    client = BaseClient(endpoints, QUICK, mission=mission)
     value_of(client.acquire("owner"))
     return client
 
@@ -109,6 +109,24 @@ def test_the_same_goal_is_driven_once(device, client):
     value_of(client.drive(make_goal()))
     value_of(client.drive(make_goal()))
     assert len(device.driven) == 1
+
+
+def test_each_mission_has_goals_of_its_own_by_the_same_names(device, agent):
+    for mission in ("first", "second"):
+        with closing(owner(agent.endpoints, mission)) as client:
+            assert value_of(client.drive(make_goal())).goal_id == "G01"
+            value_of(client.release())
+    assert [goal.goal_id for goal in device.driven] == ["first.G01", "second.G01"]
+
+
+def test_a_drive_of_a_mission_can_be_given_up(device, agent):
+    device.duration = 30.0
+    with closing(owner(agent.endpoints, "first")) as client:
+        job = client.drive(make_goal())
+        eventually(lambda: device.driven)
+        job.cancel()
+        assert failure_of(job).code == "CANCELLED"
+        assert device.stops >= 1 and device.current is None
 
 
 def test_a_refusal_comes_out_of_the_job(device, client):

@@ -64,6 +64,16 @@ def test_a_scan_is_taken_fetched_and_released(device, client, tmp_path):
     eventually(lambda: not (tmp_path / "spool" / "S01.scan").exists())
 
 
+def test_each_mission_has_scans_of_its_own_by_the_same_names(device, agent, tmp_path):
+    for mission in ("first", "second"):
+        client = ScannerClient(agent.endpoints, QUICK, mission=mission)
+        receipt = value_of(client.take("S01", SETTINGS, ODOMETRY))
+        assert receipt.scan_id == "S01"
+        path = value_of(client.fetch(receipt, tmp_path / mission / "S01.scan"))
+        assert scan_file.read(path).scan_id == f"{mission}.S01"
+    assert device.started == ["first.S01", "second.S01"]
+
+
 def test_only_the_very_scan_that_is_safe_elsewhere_is_forgotten(client, agent, tmp_path):
     receipt = value_of(client.take("S01", SETTINGS, ODOMETRY))
     with Link(Sockets(), agent.endpoints.control, QUICK, Progress()) as link:

@@ -25,6 +25,8 @@ NECK = 0.30
 """Half of the widest passage at ceiling height that still separates two rooms, metres."""
 LINTEL_SPAN = 2.6
 """A longer lintel with nothing but air below it is a beam, metres."""
+SPILL = 0.10
+"""What is crossed by beams no further than this may be a face that they end at, metres."""
 SEED_REACH = 1.5
 """The room's segment is this near to the seed, metres; right around the scanner its ceiling is not seen."""
 DOOR_HEIGHT = 2.1
@@ -75,7 +77,7 @@ def room_shape(
         raise FailureError("CONTOUR_NOT_FOUND", f"no point around ({seed[0]:.2f}, {seed[1]:.2f})")
     volume = volume_of(views.points, levels)
     skimmed = _skimmed(volume, views, levels)
-    barrier = _barriers(volume, levels, skimmed) | _drawn_doors(volume, doors)
+    barrier = barriers(volume, levels, skimmed) | _drawn_doors(volume, doors)
     covered = _covered(volume, views, levels, barrier) | skimmed
     for polygon in others:
         barrier |= _drawn(volume, np.asarray(shapely.Polygon(polygon).buffer(-CELL).exterior.coords))
@@ -96,7 +98,7 @@ def interior_mask(points: NDArray[np.floating], shape: RoomShape, margin: float 
     return mask
 
 
-def _barriers(volume: Volume, levels: Levels, skimmed: Image) -> Image:
+def barriers(volume: Volume, levels: Levels, skimmed: Image) -> Image:
     """Pixels of walls and lintels: columns filled between door height and the main ceiling, but for beams."""
     height = _main_ceiling(volume, levels)
     bottom = min(DOOR_HEIGHT, height - 0.3)
@@ -104,7 +106,9 @@ def _barriers(volume: Volume, levels: Levels, skimmed: Image) -> Image:
     closed = np.sum(upper, axis=0, dtype=np.uint8) >= 0.7 * len(upper)
     middle, below = (cv2.dilate(volume.any(*b).astype(np.uint8), _disc(1.0)) > 0 for b in ((1.0, 1.9), (0.0, 0.9)))
     lintel = closed & below & ~middle
-    return closed & ~(lintel & (skimmed | _longer_than(lintel, LINTEL_SPAN)))
+    # From afar the beams up to a wall seem to end a little behind its face; those below a beam go on.
+    crossed = cv2.erode(skimmed.astype(np.uint8), _disc(SPILL / CELL)) > 0
+    return closed & ~(lintel & (crossed | _longer_than(lintel, LINTEL_SPAN)))
 
 
 def _drawn_doors(volume: Volume, doors: Sequence[Door]) -> Image:

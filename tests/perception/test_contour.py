@@ -6,9 +6,10 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.contour import interior_mask, room_shape
+from perception.contour import barriers, interior_mask, room_shape
 from perception.failure import FailureError
 from perception.findings import Door, RoomShape
+from perception.outline.columns import CELL, volume_of
 from perception.segmentation import floor_and_ceiling
 from tests.perception.rooms import BEAM, DOOR, FURNITURE, ROOM_A, ROOM_B, survey, two_rooms
 from tests.synthetic import Scene, box
@@ -45,6 +46,22 @@ def test_furniture_curtain_lamp_beam_and_lowered_ceiling_do_not_move_the_walls()
     shape = _shape(survey(two_rooms(*FURNITURE), IN_A), IN_A)
     assert _deviation(shape, ROOM_A) < 0.05
     assert shape.ceiling_z == pytest.approx(3.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("behind", "stays"), [(0.0, True), (0.05, True), (3.0, False)])
+def test_a_lintel_is_a_wall_unless_beams_go_on_behind_it(behind, stays):
+    """From afar the beams up to its face seem to end a pixel behind it; below a beam they go on to the next room."""
+    x, z = np.meshgrid(np.arange(0.0, 1.0, 0.03), np.arange(2.1, 2.7, 0.03))
+    lintel = np.column_stack([x.ravel(), np.full(x.size, 3.02), z.ravel()])
+    x, y = np.meshgrid(np.arange(-2.0, 3.0, 0.03), np.arange(0.0, 6.0, 0.03))
+    level = np.column_stack([x.ravel(), y.ravel(), np.random.default_rng(0).normal(0.0, 0.003, x.size)])
+    points = np.concatenate([lintel, level, level + np.array([0.0, 0.0, 2.7])])
+    levels = floor_and_ceiling(points)
+    volume = volume_of(points, levels)
+    ((row, column),) = volume.pixels(np.array([[0.5, 3.02]]))
+    crossed = np.zeros(volume.shape, bool)
+    crossed[: row + 1 + round(behind / CELL)] = True
+    assert barriers(volume, levels, crossed)[:, column].any() == stays
 
 
 def test_walls_have_the_interior_on_their_left(furnished):

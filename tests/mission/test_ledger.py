@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,18 @@ def test_a_record_that_was_altered_taken_out_or_put_in_is_found(path: Path, reco
     forger.close()
     (words,) = Ledger(path).damage()
     assert words.endswith("is not what was written")
+
+
+def test_a_mission_keeps_its_first_name_over_all_its_lives(path: Path) -> None:
+    for proposed in ("first", "second"):
+        with closing(Ledger(path)) as ledger:
+            assert ledger.name(proposed) == "first"
+            assert ledger.damage() == []
+    with sqlite3.connect(path) as forger:
+        forger.execute("UPDATE record SET body = 'second' WHERE sort = 'name'")
+    forger.close()
+    with closing(Ledger(path)) as ledger:
+        assert ledger.damage() == ["record 1 is not what was written"]
 
 
 def test_a_chain_goes_on_in_the_next_process_and_after_a_write_that_failed(path: Path) -> None:

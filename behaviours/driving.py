@@ -89,6 +89,13 @@ class DriveToTarget(JobLeaf):
         )
 
 
+class BrokenOffByTouch(Leaf):
+    """Fails as a drive does that was interrupted: what it touched was seen to, and it may be ordered anew."""
+
+    def step(self) -> Status:
+        raise FailureError("NAV_INTERRUPTED", "the robot touched something, and the operator lets it drive on")
+
+
 class TargetHere(Leaf):
     """Names a place of which the survey knows that the base has stood there; a subclass says which."""
 

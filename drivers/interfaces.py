@@ -233,7 +233,8 @@ class Base(Protocol):
         """Drive to a goal.
 
         Fails with ``NAV_NO_PATH`` (nothing was driven), ``NAV_BLOCKED`` (an obstacle stayed in the way),
-        ``NAV_STUCK`` (no progress, localisation lost), ``NAV_INTERRUPTED`` (the base began anew), ``ESTOP``,
+        ``NAV_STUCK`` (no progress, localisation lost), ``NAV_INTERRUPTED`` (the base began anew), ``COLLISION`` (it
+        touched something, and stopped by itself), ``ESTOP``,
         ``LEASE_LOST`` (the base is somebody else's now, or was never ours; evidence names its ``owner``),
         ``AGENT_UNREACHABLE``. Evidence holds the ``track`` driven and its ``distance``, as far as anybody knows.
         Cancelling stops the base.

@@ -2,9 +2,11 @@
 
 from py_trees.behaviour import Behaviour
 
+from behaviours.asking import Ask
 from behaviours.charging import BatteryIsGood, WaitForCharge
 from behaviours.conditions import FailureIs
 from behaviours.driving import (
+    BrokenOffByTouch,
     DriveToTarget,
     RenewGoal,
     TargetHalfWayBack,
@@ -18,7 +20,7 @@ from behaviours.rooms import GiveUpRoom
 from behaviours.safety import EndMission
 from behaviours.settings import Settings
 from trees.compose import first_that_works, steps
-from trees.locating import located
+from trees.locating import end_on_the_spot, located
 from trees.recovery import ANOTHER_SCAN_MAY_HELP
 
 _ATTEMPTS = 3
@@ -28,13 +30,36 @@ def drive(name: str, settings: Settings) -> Behaviour:
     """A drive to the target, from a place that is known; one that was broken off from outside is ordered anew."""
     return Recover(
         f"{name}, whatever interrupts",
-        primary=steps(f"{name}, from a known place", located(settings), DriveToTarget(name)),
+        primary=first_that_works(
+            f"{name}, or stop for a touch",
+            steps(f"{name}, from a known place", located(settings), DriveToTarget(name)),
+            leave_to_move_after_a_touch(),
+        ),
         recovery=steps(
             "order it anew",
             FailureIs("broken off from outside?", "ESTOP", "AGENT_UNREACHABLE", "LEASE_", "NAV_INTERRUPTED"),
             RenewGoal("name the goal anew"),
         ),
         attempts=_ATTEMPTS,
+    )
+
+
+def leave_to_move_after_a_touch() -> Behaviour:
+    """Fails: after a touch the drive is an interrupted one if somebody lets it go on, else the mission ends there."""
+    return steps(
+        "touched",
+        FailureIs("touched something?", "COLLISION"),
+        first_that_works(
+            "leave to move",
+            Ask(
+                "ask about the touch",
+                "The robot touched something near {place} and has stopped",
+                "Go there, look, and clear it away.",
+                otherwise="end",
+            ),
+            end_on_the_spot(),
+        ),
+        BrokenOffByTouch("the drive was broken off"),
     )
 
 

@@ -5,6 +5,7 @@ from py_trees.decorators import SuccessIsFailure
 
 from behaviours.asking import Ask
 from behaviours.conditions import FailureIs, PlaceIsKnown, RoomIsOpen
+from behaviours.homecoming import Stranded
 from behaviours.mapping import RegisterGlobally
 from behaviours.recover import Recover
 from behaviours.rooms import GiveUpRoom, RefuseDoors
@@ -46,9 +47,10 @@ def end_on_the_spot() -> Behaviour:
     return SuccessIsFailure(
         "nowhere to go",
         steps(
-            "lost",
+            "end here",
             if_possible("its room", room_stays_partial),
             RefuseDoors("no door can be reached"),
+            Stranded("say why it stays there"),
             EndMission("end on the spot", "finished"),
         ),
     )

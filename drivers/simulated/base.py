@@ -144,13 +144,17 @@ class SimulatedBase:
             self._held_for += dt
             self._swept_at = NEVER  # what it sees when it goes on is new
         before = self._plant.odometry.pose
-        if self._plant.step(dt):
+        collisions = self._plant.collisions
+        touched = self._plant.step(dt)
+        if self._plant.collisions > collisions:
             self._truth.write("collision", self._plant.time, pose=self._plant.pose)
         sweep = self._sweep() if permitted else None
         if self._localiser:
             self._localiser.predict(before, self._plant.odometry.pose)
             if sweep is not None and self._plant.moving:
                 self._localiser.correct(sweep.plane)
+        if touched:
+            self._drop("COLLISION", "the bumper was touched")
         self._control(sweep, permitted)
         self._battery.step(dt, self._plant.pose[:2], self._plant.moving)
         if self._whereabouts is not None:

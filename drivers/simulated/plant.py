@@ -144,7 +144,7 @@ class Plant:
         self._right.halt()
 
     def step(self, dt: float) -> bool:
-        """Advance by ``dt`` seconds; True if the robot ran into something just now."""
+        """Advance by ``dt`` seconds; True if the bumper was pressed: the robot ran, or pushed on, into something."""
         self.time += dt
         speed, turn_rate = self._command
         half_track = self._profile.track_width / 2
@@ -180,6 +180,6 @@ class Plant:
         """What is touched stops the wheels; pushing on against it is still the same collision."""
         self._left.halt()
         self._right.halt()
-        new, self._in_contact = not self._in_contact, True
-        self.collisions += new
-        return new
+        self.collisions += not self._in_contact
+        self._in_contact = True
+        return True

@@ -218,6 +218,22 @@ def test_the_truth_log_has_drives_and_collisions(tmp_path):
     assert ended["distance"] > 0.5
 
 
+def test_a_touch_ends_the_drive_at_once_and_pushing_on_is_a_touch_again(tmp_path):
+    """A cart is rammed into its side, quicker than any sensor sees, and stays there."""
+    hit, at = 3.0, base_in()
+    at.start_drive(goal(MAP, DOORWAY, WORLD.start))
+    run(at, hit)
+    x, y, _ = at._plant.pose
+    cart = Track(((0.0, x + 0.3, y + 9.0), (hit, x + 0.3, y + 9.0), (hit + 0.05, x + 0.3, y), (1e6, x + 0.3, y)), "cart")
+    base = base_in(scenario=Scenario(tracks=(cart,)), truth=TruthLog(tmp_path))
+    outcome, taken = drive(base, DOORWAY)
+    assert isinstance(outcome, Failed) and outcome.failure.code == "COLLISION"
+    assert taken < hit + 0.2
+    assert not base.telemetry().moving and base.telemetry().activity == "idle"
+    assert np.allclose(transforms.planar(*base._plant.pose), base.stance().map_from_base)
+    assert [event["event"] for event in read_truth(tmp_path)].count("collision") == base.collisions == 1
+
+
 def test_it_runs_by_itself_on_a_clock():
     base = base_in()
     clock = ScaledClock(20.0)

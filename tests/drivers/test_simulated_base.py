@@ -224,7 +224,8 @@ def test_a_touch_ends_the_drive_at_once_and_pushing_on_is_a_touch_again(tmp_path
     at.start_drive(goal(MAP, DOORWAY, WORLD.start))
     run(at, hit)
     x, y, _ = at._plant.pose
-    cart = Track(((0.0, x + 0.3, y + 9.0), (hit, x + 0.3, y + 9.0), (hit + 0.05, x + 0.3, y), (1e6, x + 0.3, y)), "cart")
+    waits, rams = (x + 0.3, y + 9.0), (x + 0.3, y)
+    cart = Track(((0.0, *waits), (hit, *waits), (hit + 0.05, *rams), (1e6, *rams)), "cart")
     base = base_in(scenario=Scenario(tracks=(cart,)), truth=TruthLog(tmp_path))
     outcome, taken = drive(base, DOORWAY)
     assert isinstance(outcome, Failed) and outcome.failure.code == "COLLISION"

@@ -88,6 +88,15 @@ class ScanIsSetAside(Condition):
         return bool(self.read(Key.SURVEY).set_aside)
 
 
+class RoomIsNew(Condition):
+    """Whether the room's first scan is still to be looked at: there is nothing to compare it with."""
+
+    reads = (Key.SURVEY, Key.ROOM)
+
+    def holds(self) -> bool:
+        return self.read(Key.ROOM) not in self.read(Key.SURVEY).shapes
+
+
 class LoopIsClosed(Condition):
     """Whether doors close a loop of rooms that the poses do not know of yet."""
 

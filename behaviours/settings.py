@@ -18,6 +18,7 @@ class ScanningSettings:
     ``fetch_timeout_s`` is for bringing one home; what arrived by then is not sent again.
     ``planned`` is for how many scans there must be room on the disk before the mission starts; with less than
     ``min_free_gb`` it stands still for ``room_s`` seconds at most, until somebody makes room.
+    Where more than ``moved_share`` of a scan was not there before it waits for ``calm_s`` and takes another.
     """
 
     step_deg: Annotated[float, Ge(0.01), Le(5.0)] = 0.2
@@ -28,6 +29,8 @@ class ScanningSettings:
     planned: Count = 40
     min_free_gb: NotNegative = 0.5
     room_s: Positive = 3600.0
+    moved_share: Share = 0.01
+    calm_s: NotNegative = 30.0
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ class ScanRecord:
         registration: how it was registered; ``map_from_scanner`` may have been adjusted since.
         residual: metres rms between its surface and that of the scans around it; None before it was compared.
         odom_frame: what ``odom_from_base`` is told in.
+        movement: share of its points that was not there before; None where there was nothing to compare with.
     """
 
     scan_id: str
@@ -59,6 +60,7 @@ class ScanRecord:
     registration: Registration
     residual: float | None = None
     odom_frame: str = ""
+    movement: float | None = None
 
     @property
     def moved_m(self) -> float:
@@ -176,6 +178,11 @@ class Survey:
     def with_earlier_scan(self, scan: ScanRecord) -> "Survey":
         """A scan that was set aside and found its place: before the newest, at which the base still stands."""
         return replace(self, scans=(*self.scans[:-1], scan, *self.scans[-1:]))
+
+    def with_movement(self, share: float) -> "Survey":
+        """It is known how much of the newest scan was not there before."""
+        *rest, newest = self.scans
+        return replace(self, scans=(*rest, replace(newest, movement=share)))
 
     def with_shape(self, room_id: str, shape: RoomShape) -> "Survey":
         return replace(self, shapes={**self.shapes, room_id: shape})

@@ -139,6 +139,8 @@ class _Building:
         seed = tuple(np.asarray(own[0][1])[:2, 3])
         place = {"room_id": f"R{room}", "cycle": len(own)}
         previous = self._shapes[room] if len(self._shapes) > room else None
+        if previous is not None:
+            self._stage("find_movement", scan_id=scan_id, pose=pose.tolist(), earlier=near[:-1], shape=previous)
         others = [shape.contour for shape in self._shapes[:room]]
         shape = self._stage("segment_room", **place, seed=seed, scans=near, doors=(), others=others, previous=previous)
         self._shapes[room:] = [shape]

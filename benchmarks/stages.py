@@ -327,6 +327,9 @@ class _Known:
         else:
             stage("anchor_scan", scan_id=scan_id)
         self._placed.append((scan_id, pose.tolist()))
+        if self._shape is not None:
+            earlier = self._placed[:-1]
+            stage("find_movement", scan_id=scan_id, pose=pose.tolist(), earlier=earlier, shape=self._shape)
         room = {"room_id": "R1", "cycle": len(self._placed)}
         track = [transforms.to_planar(np.asarray(station)) for _, station in self._placed]
         contour_of = {"seed": track[0][:2], "doors": (), "others": (), "previous": self._shape}

@@ -79,6 +79,7 @@ def _scan(scan: ScanRecord) -> dict[str, Any]:
         },
         "residual": scan.residual,
         "moved_m": scan.moved_m,
+        "movement": scan.movement,
         "registration": {
             "fitness": found.fitness,
             "rmse": found.rmse,

@@ -116,6 +116,19 @@ class RoomShape:
 
 
 @dataclass(frozen=True)
+class Movement:
+    """What stands in a scan where an earlier one saw that nothing was: people, carts, a door that was moved.
+
+    Args:
+        share: of the scan's points.
+        place: (x, y) in the midst of them, map frame; None where there are none.
+    """
+
+    share: float
+    place: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
 class LabelCounts:
     """Voxels of a room by label after a cycle (Table 1): total is V, occupied + empty is V_s."""
 

@@ -2,7 +2,15 @@
 
 from py_trees.behaviour import Behaviour
 
-from behaviours.conditions import MapFrameIsMade, NoScanYet, RoomIsEnded, ScanHasGuess, ScanIsSetAside
+from behaviours.conditions import (
+    FailureIs,
+    MapFrameIsMade,
+    NoScanYet,
+    RoomIsEnded,
+    RoomIsNew,
+    ScanHasGuess,
+    ScanIsSetAside,
+)
 from behaviours.mapping import (
     AnchorScan,
     BuildMap,
@@ -12,6 +20,7 @@ from behaviours.mapping import (
     RegisterScan,
     SegmentRoom,
 )
+from behaviours.movement import LetThemPass, LookForMovement
 from behaviours.recover import Recover
 from behaviours.settings import Settings
 from behaviours.viewing import AssessRoom, ChooseView
@@ -29,7 +38,7 @@ def observation(settings: Settings) -> Behaviour:
     """A scan, and all maps with it in them."""
     return steps(
         "observe",
-        registered_scan(settings),
+        undisturbed_scan(settings),
         if_possible(
             "scan set aside",
             steps("try it again", ScanIsSetAside("one waits?"), PlaceScanSetAside("register the scan set aside")),
@@ -37,6 +46,29 @@ def observation(settings: Settings) -> Behaviour:
         recovery.written(SegmentRoom("find the room's contour")),
         recovery.written(BuildMap("build the robot map")),
         recovery.written(LabelSpace("label the voxel space")),
+    )
+
+
+def undisturbed_scan(settings: Settings) -> Behaviour:
+    """A scan with an accepted pose, and where much moved in it another one, from the same place when they have gone."""
+    return steps(
+        "scan of the room alone",
+        registered_scan(settings),
+        first_that_works(
+            "alone?",
+            RoomIsNew("nothing to compare with?"),
+            LookForMovement("look for who moved"),
+            if_possible(
+                "scan once more",
+                steps(
+                    "when they have gone",
+                    FailureIs("anybody in it?", "DYN_POINTS"),
+                    LetThemPass("let them pass"),
+                    registered_scan(settings),
+                    LookForMovement("look again"),
+                ),
+            ),
+        ),
     )
 
 

@@ -177,7 +177,7 @@ def _registration(scan: Record) -> Row:
     figures = scan.get("registration") or {}
     keys = ("method", "fitness", "rmse", "overlap", "min_eigenvalue", "correction_m", "correction_rad")
     row: Row = {"scan": scan["scan_id"], "room": scan.get("room_id")} | {key: figures.get(key) for key in keys}
-    row |= {key: scan.get(key) for key in ("residual", "moved_m")}
+    row |= {key: scan.get(key) for key in ("residual", "moved_m", "movement")}
     fitness, overlap = row["fitness"], row["overlap"]
     row["agreement"] = fitness / overlap if fitness is not None and overlap else None
     if row["method"] == "anchor":

@@ -19,6 +19,7 @@ STAGES: dict[str, Callable[..., Any]] = {
     "anchor_scan": placing.anchor_scan,
     "register_scan": placing.register_scan,
     "register_globally": placing.register_globally,
+    "find_movement": placing.find_movement,
     "optimise_poses": placing.optimise_poses,
     "segment_room": shaping.segment_room,
     "build_map": shaping.build_map,

@@ -10,9 +10,9 @@ from mission.journal import plain
 from mission.stages.scan_library import Library, PlacedScans, matrix
 from mission.store import RunFolder, write_text
 from mission.summaries import ScanSummary
-from perception import alignment, global_registration, pose_graph, registration, transforms
+from perception import alignment, global_registration, movement, pose_graph, registration, transforms
 from perception.failure import FailureError
-from perception.findings import Alignment, PoseAdjustment, Registration
+from perception.findings import Alignment, Movement, PoseAdjustment, Registration, RoomShape
 from perception.pose_graph import Comparison
 from perception.registration import Reference
 from perception.transforms import Matrix
@@ -21,6 +21,8 @@ _NEARBY = 20.0
 _MOUNTING = 0.2
 """How far the floor may be from where the scanner's mounting puts it, metres: tilt, and a step on the way."""
 _ANY_HEIGHT = (0.2, 2.2)
+_LOOKED_AT = 200_000
+"""Points of a scan in which movement is looked for: enough to count a person in hundreds."""
 
 
 def validate_scan(library: Library, scan_id: str) -> ScanSummary:
@@ -72,6 +74,14 @@ def register_globally(
     )
     registration.judge(found, (error_m, error_rad))
     return found
+
+
+def find_movement(
+    library: Library, scan_id: str, pose: Sequence[Sequence[float]], earlier: PlacedScans, shape: RoomShape
+) -> Movement:
+    points = library.scan(scan_id).points
+    views = [(library.surface(name), matrix(place)) for name, place in earlier]
+    return movement.find_movement(points[:: len(points) // _LOOKED_AT + 1], matrix(pose), views, shape)
 
 
 def optimise_poses(library: Library, scans: PlacedScans) -> PoseAdjustment:

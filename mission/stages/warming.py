@@ -40,7 +40,9 @@ def _all_stages(library: Library) -> None:
     shape: RoomShape | None = None
     for cycle, name in enumerate(_PLACES, 1):
         placing.validate_scan(library, name)
-        placed = [*placed, (name, _placed(library, name, placed))]
+        earlier, placed = placed, [*placed, (name, _placed(library, name, placed))]
+        if shape is not None:
+            placing.find_movement(library, *placed[-1], earlier, shape)
         shape = shaping.segment_room(library, "W", cycle, (0.0, 0.0), placed, (), (), shape)
         track = [transforms.to_planar(np.asarray(pose)) for _, pose in placed]
         ground = shaping.build_map(library, *placed[-1], shape, (), None, track, "W", cycle)

@@ -19,7 +19,7 @@ SCANNER = ("take", "fetch")
 BASE = ("drive", "stop", "acquire")
 PERCEPTION = (
     "validate_scan", "align_scan", "anchor_scan", "register_scan", "register_globally", "optimise_poses",
-    "segment_room", "build_map", "label_space", "choose_view", "find_doors",
+    "find_movement", "segment_room", "build_map", "label_space", "choose_view", "find_doors",
 )  # fmt: skip
 OPERATIONS = (*SCANNER, *BASE, *PERCEPTION)
 

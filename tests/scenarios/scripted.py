@@ -24,6 +24,7 @@ from perception.findings import (
     Candidate,
     DoorFindings,
     LabelCounts,
+    Movement,
     PoseAdjustment,
     Registration,
     ViewChoice,
@@ -358,6 +359,9 @@ class ScriptedPerception:
         """Nothing to be mended: the poses are true."""
         poses = {name: np.array(pose) for name, pose in scans}
         return PoseAdjustment(poses, dict.fromkeys(poses, 0.002), len(poses) - 1, (), 0.0005, 0.0005, 0.0)
+
+    def find_movement(self, **_: Any) -> Movement:
+        return Movement(0.0, None)
 
     def segment_room(self, seed: tuple[float, float], **_: Any) -> object:
         return self.site.shape(self.site.room_at(*seed))

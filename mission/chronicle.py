@@ -55,7 +55,9 @@ class Chronicle:
     def __init__(self, ledger: Ledger, clock: Clock) -> None:
         self._ledger = ledger
         self._clock = clock
-        self._told = _worth_telling(ledger)
+        self._told = ledger.jobs()
+        self._owed: list[tuple[int, _Ending, float]] = []
+        self._reopen_what_was_given_up()
         self._next = 0
         self._unheard = 0
         self._at = 0.0
@@ -64,7 +66,6 @@ class Chronicle:
         self._sensed: BaseState | None = None
         self._footing = _footing(self._told)
         self._divergence: FailureError | None = None
-        self._owed: list[tuple[int, float]] = []
         self._witness: Journal | None = None
 
     @property
@@ -189,7 +190,7 @@ class Chronicle:
 
     def given_up(self, seq: int) -> None:
         """Write down that a job was cancelled; on a full disk, before anything else that is written."""
-        self._owed.append((seq, self.now()))
+        self._owed.append((seq, _Ending("cancelled", "null"), self.now()))
         with waiting_for_room():
             self._settle()
 
@@ -202,9 +203,27 @@ class Chronicle:
 
     def _settle(self) -> None:
         while self._owed:
-            seq, at = self._owed[0]
-            self._ledger.end(seq, "cancelled", "null", at)
+            seq, ending, at = self._owed[0]
+            self._ledger.end(seq, ending.how, ending.outcome, at)
             del self._owed[0]
+
+    def _reopen_what_was_given_up(self) -> None:
+        """A job that was cancelled last was not given up by the tree but by an executive on its way out: it is open.
+
+        Only a drive is not, for the base never drives a goal again that it was told to drop; the tree finds another
+        way, in this life and in those that are told of it.
+        """
+        if not self._told or self._told[-1].how != "cancelled":
+            return
+        last = self._told.pop()
+        self._ledger.reopen(last.seq)
+        if last.kind == "drive":
+            assert last.ended is not None
+            ending = _Ending("failed", json.dumps(to_json(_INTERRUPTED)))
+            self._owed.append((last.seq, ending, last.ended))
+            self._told.append(replace(last, how=ending.how, outcome=ending.outcome))
+        else:
+            self._told.append(replace(last, ended=None, how=None, outcome=None))
 
 
 class _ToldJob:
@@ -354,19 +373,3 @@ def waiting_for_room() -> Iterator[None]:
     except FailureError as error:
         if error.failure.code != "DISK_FULL":
             raise
-
-
-def _worth_telling(ledger: Ledger) -> list[JobRow]:
-    """The jobs up to where the mission was interrupted.
-
-    A job that was cancelled last was not given up by the tree but by an executive on its way out: it is open again.
-    Only a drive is not, for the base never drives a goal again that it was told to drop; the tree finds another way.
-    """
-    rows = ledger.jobs()
-    if rows and rows[-1].how == "cancelled":
-        last = rows.pop()
-        if last.kind == "drive":
-            rows.append(replace(last, how="failed", outcome=json.dumps(to_json(_INTERRUPTED))))
-        else:
-            rows.append(replace(last, ended=None, how=None, outcome=None))
-    return rows

@@ -117,11 +117,15 @@ class Ledger:
                 self._add(FILE, job, json.dumps(astuple(file)))
 
     def end(self, seq: int, how: str, outcome: str, at: float) -> None:
-        """Note how a job ended; a job ends once."""
+        """Note how a job ended; a job ends once, unless it is reopened."""
         with self._written():
             if seq in self._tail.open:
                 self._add(END, seq, json.dumps([how, outcome, at]))
                 self._tail = replace(self._tail, open=self._tail.open - {seq})
+
+    def reopen(self, seq: int) -> None:
+        """A job that was given up when its mission was ended is taken up again, and so ends once more."""
+        self._tail = replace(self._tail, open=self._tail.open | {seq})
 
     def jobs(self) -> list[JobRow]:
         """All of them in their order."""

@@ -81,10 +81,12 @@ def test_what_was_told_is_not_journalled_again(tmp_path: Path) -> None:
     assert len(registered) == len(set(registered)) == len(saga.scanner.taken)
 
 
-def test_an_aborted_mission_is_taken_up_where_it_was_left(tmp_path: Path) -> None:
+@pytest.mark.parametrize("first", range(4))
+def test_an_aborted_mission_is_taken_up_where_it_was_left(tmp_path: Path, first: int) -> None:
+    """Whatever it was about, and also when the one that took it up is killed: what it did since is told the next."""
     whole = rooms(tmp_path / "whole")
     assert whole.live() == "complete"
-    for instant in range(4, 60, 7):
+    for instant in range(4 + first, 62, 4):
         saga = rooms(tmp_path / str(instant))
 
         def abort(word: Word, ticks: int, at: int = instant) -> None:
@@ -92,8 +94,9 @@ def test_an_aborted_mission_is_taken_up_where_it_was_left(tmp_path: Path) -> Non
                 word.abort()
 
         assert saga.live(each_tick=abort) == "aborted"
+        assert saga.live(dies_at=4) == "killed"
         assert saga.live() == "complete"
-        assert list(saga.scanner.taken) == sorted(set(saga.scanner.taken))
+        assert list(saga.scanner.taken) == sorted(set(saga.scanner.taken)) == list(whole.scanner.taken)
 
 
 def test_another_tree_than_the_one_that_began_is_refused(tmp_path: Path) -> None:

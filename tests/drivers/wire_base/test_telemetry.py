@@ -47,12 +47,13 @@ def test_a_device_that_cannot_tell_its_state_once_is_asked_again(device, agent, 
 
 
 def test_old_and_garbled_telemetry_is_ignored():
-    heard = []
+    heard, frames_heard = [], []
 
     class NotingListener(Listener):
         def _accept(self, frame: bytes) -> None:
             super()._accept(frame)
             heard.append(self.state().battery)
+            frames_heard.append(frame)
 
     publisher, endpoint = Sockets().publisher(ANY_PORT)
     listener = NotingListener(Sockets().subscriber(endpoint))
@@ -65,13 +66,10 @@ def test_old_and_garbled_telemetry_is_ignored():
         eventually(lambda: publisher.send(frame) or ((s := listener.state()) and s.battery == battery))
 
     def publish(*frames: bytes, last: float) -> None:
-        """What comes last has been heard after all that was sent before it.
-
-        It is said again, as an agent does: a socket that keeps only the newest may hold it back until another comes.
-        """
+        """Each is said until it has been heard, for the socket keeps only the newest, and may hold that one back."""
         for frame in frames:
-            publisher.send(frame)
-        eventually(lambda: publisher.send(frames[-1]) or heard[-1] == last)
+            eventually(lambda frame=frame: publisher.send(frame) or frames_heard[-1] == frame)
+        assert heard[-1] == last
 
     with publisher:
         publish_until(0.5, message("a", 7, 0.5))

@@ -118,6 +118,18 @@ class OperatorSettings:
 
 
 @dataclass(frozen=True)
+class WorkerSettings:
+    """How much memory the perception worker may have, in gigabytes.
+
+    Above ``memory_high_gb`` another process takes its place when its stage has ended; above ``memory_cap_gb`` it is
+    killed at once, and its stage done again.
+    """
+
+    memory_high_gb: Positive = 6.0
+    memory_cap_gb: Positive = 12.0
+
+
+@dataclass(frozen=True)
 class Settings:
     """All of them."""
 
@@ -128,3 +140,4 @@ class Settings:
     building: BuildingSettings = field(default_factory=BuildingSettings)
     battery: BatterySettings = field(default_factory=BatterySettings)
     operator: OperatorSettings = field(default_factory=OperatorSettings)
+    worker: WorkerSettings = field(default_factory=WorkerSettings)

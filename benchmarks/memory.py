@@ -2,9 +2,8 @@
 
 ``python -m benchmarks.memory [--scans 60]`` runs all stages of every cycle in the real worker process and prints its
 peak of resident memory and the processor seconds of each cycle (the wall's are its neighbours' too); ends with 1 where
-a bar is missed. The building is
-the school's largest room again and again, side by side: its scans are rendered once, given fresh noise and another
-odometry, and stored as new ones.
+a bar is missed. The building is the school's largest room again and again, side by side: its scans are rendered once,
+given fresh noise and another odometry, and stored as new ones.
 """
 
 import argparse

@@ -31,7 +31,7 @@ from mission import run
 from mission.clock import MissionClock
 from mission.executive import Executive, active_branch
 from mission.rehearsal import Rehearsal, rehearse
-from mission.worker import NICENESS
+from mission.worker_process import NICENESS
 from tests.missions.flights import TWO_ROOMS
 
 BAR_MS = 20.0

@@ -14,7 +14,7 @@ from mission.config import SiteConfig, load_config
 from mission.fsck import check
 from mission.ledger import Ledger
 from mission.run import Summary, run_mission
-from mission.store import RunFolder, write_text
+from mission.store import RunFolder, read_mapping, write_text
 from perception.failure import FailureError
 
 _FINISHED = ("complete", "incomplete")
@@ -50,9 +50,8 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
 
 
 def _outcome(folder: RunFolder) -> str | None:
-    with suppress(OSError, ValueError):
-        state = json.loads(folder.state.read_text(encoding="utf-8"))
-        outcome = state.get("outcome") if isinstance(state, dict) else None
+    with suppress(FailureError):  # a state that tells nothing ends no mission: it is made again
+        outcome = read_mapping(folder.state).get("outcome")
         return None if outcome is None else str(outcome)
     return None
 

@@ -81,7 +81,7 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
             lease = stack.enter_context(ownership(base))
         except FailureError as error:
             raise UnreachableError(f"base: {error}") from error
-        worker = PerceptionWorker(folder.path, journal)
+        worker = PerceptionWorker(folder.path, journal, config.settings.worker)
         stack.callback(worker.close)
         worker.submit("warm_up")
         stack.enter_context(signals(word))

@@ -1,13 +1,11 @@
 """How a mission stands, in words and figures: what every control command answers with."""
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
 from mission.control import Status
 from mission.phase import Phase, State
-from mission.store import RunFolder
-from perception.failure import FailureError
+from mission.store import RunFolder, read_mapping
 
 _TAKEN_UP = ("aborted", "safety_stop", "fault")
 """Outcomes after which a mission may go on."""
@@ -42,12 +40,7 @@ def standing_of_ended(folder: RunFolder) -> Standing:
     Raises:
         FailureError: ``RUN_UNREADABLE`` where there is none.
     """
-    try:
-        state = json.loads(folder.state.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FailureError("RUN_UNREADABLE", f"{folder.state} tells no mission's state: {error}") from error
-    if not isinstance(state, dict):
-        raise FailureError("RUN_UNREADABLE", f"{folder.state} tells no mission's state: found {state!r:.40}")
+    state = read_mapping(folder.state)
     figures = {key: state.get(key, "") for key in ("phase", "code", "message", "outcome", "started", "ended")}
     figures["scans"] = len(state.get("scans", ()))
     lines = [_phase(figures), f"{figures['scans']} scans"]

@@ -4,7 +4,7 @@ import itertools
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from drivers.disk import writing
 from drivers.wire.spool import sync_folder
 from mission.journal import plain
+from perception.failure import FailureError
 from perception.grids import Grid, VoxelSpace
 
 _FOLDERS = ("scans", "maps", "voxels", "evidence", "pictures")
@@ -128,6 +130,21 @@ def write_text(path: Path, text: str, durably: bool = True) -> None:
     """Write a whole text file or none of it. Raises ``DISK_FULL``, ``IO_ERROR``."""
     with _whole(path, durably) as stream:
         stream.write(text.encode("utf-8"))
+
+
+def read_mapping(path: Path, parse: Callable[[str], Any] = json.loads) -> dict[str, Any]:
+    """What a file of names and values says.
+
+    Raises:
+        FailureError: ``RUN_UNREADABLE`` where there is no such file, or one that says something else.
+    """
+    try:
+        found = parse(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise FailureError("RUN_UNREADABLE", f"{path} cannot be read: {error}") from error
+    if not isinstance(found, dict):
+        raise FailureError("RUN_UNREADABLE", f"{path}: expected names and values, found {found!r:.40}")
+    return found
 
 
 def write_arrays(path: Path, **arrays: object) -> None:

@@ -1,28 +1,23 @@
-"""The perception worker: one spawned process, one stage at a time, killed and made anew when it hangs or dies."""
+"""The perception worker: one stage at a time in a process that is made anew when it hangs, dies or grows too large."""
 
-import os
-import signal
 import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as DeadlineError
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from pebble import ProcessExpired, ProcessPool
+from pebble import ProcessExpired
 
 from behaviours.services import Journal
+from behaviours.settings import WorkerSettings
 from drivers.jobs import Done, Failed, Job, Outcome, Running
+from mission.worker_process import WorkerProcess
 from perception.failure import Failure, FailureError
 
-NICENESS = 5
-"""The tick loop, whose beats keep the base going, wins a core from the worker; an idle one is all the worker's."""
-
-_GLANCE_S = 0.5
-"""How often the worker looks whether its executive still lives."""
+NAME = "perception worker"
 
 
 class PerceptionWorker:
@@ -32,40 +27,65 @@ class PerceptionWorker:
 
     Args:
         run: the run folder, which both processes see.
-        journal: gets one ``stage`` event for every stage that ended, with its seconds.
+        journal: gets one ``stage`` event for every stage that ended, with its seconds, and a ``failure`` with
+            ``MEM_HIGH`` whenever a process is ended for its memory.
+        settings: how much memory its process may have.
         deadline: wall seconds a stage may take before its process is killed.
     """
 
-    def __init__(self, run: Path, journal: Journal, deadline: float = 180.0) -> None:
+    def __init__(
+        self, run: Path, journal: Journal, settings: WorkerSettings | None = None, deadline: float = 180.0
+    ) -> None:
         self._run = run
         self._journal = journal
+        self._settings = settings or WorkerSettings()
         self._deadline = deadline
-        self._pool = _new_pool()
+        self._process = WorkerProcess()
+        self._ending: list[threading.Thread] = []
 
     def submit(self, stage: str, /, **arguments: object) -> Job[Any]:
         return _StageJob(self, stage, arguments)
 
-    def schedule(self, stage: str, arguments: Mapping[str, object]) -> tuple[Any, ProcessPool]:
-        """A future of (value, seconds), and the pool that it will never come from if that pool breaks.
-
-        The pool brings a new process if the last one died at work. One that dies while it has none takes its pool
-        along, and gets another.
-        """
-        if not self._pool.active:
-            broken, self._pool = self._pool, _new_pool()
-            broken.stop()
-            threading.Thread(target=broken.join, daemon=True).start()
+    def schedule(self, stage: str, arguments: Mapping[str, object]) -> tuple[Any, WorkerProcess]:
+        """A future of (value, seconds), and the process that it will never come from if that does not live."""
+        if not self._process.lives:
+            self._replace()
         call = [str(self._run), stage, dict(arguments)]
-        return self._pool.schedule(_run_stage, args=call, timeout=self._deadline), self._pool
+        return self._process.schedule(_run_stage, call, timeout=self._deadline), self._process
 
-    def record(self, stage: str, arguments: Mapping[str, object], seconds: float, failure: Failure | None) -> None:
+    def has_outgrown(self, process: WorkerProcess, stage: str) -> bool:
+        """Whether a process has more memory than the machine is to lose to it, and so must not go on."""
+        return self._exceeds(process, self._settings.memory_cap_gb, f"during {stage}; it is killed")
+
+    def ended(
+        self, process: WorkerProcess, stage: str, arguments: Mapping[str, object], seconds: float, why: Failure | None
+    ) -> None:
+        """Note a stage that came to its end, and let a process that has grown large do no other."""
         ids = {key: arguments[key] for key in ("scan_id", "room_id", "cycle") if key in arguments}
-        self._journal.record("stage", name=stage, seconds=round(seconds, 4), failure=failure and failure.code, **ids)
+        self._journal.record("stage", name=stage, seconds=round(seconds, 4), failure=why and why.code, **ids)
+        limit = self._settings.memory_high_gb
+        if process is self._process and self._exceeds(process, limit, f"after {stage}; another takes its place"):
+            self._replace()
 
     def close(self) -> None:
         """Kill whatever runs and leave no process behind."""
-        self._pool.stop()
-        self._pool.join()
+        for thread in (*self._ending, self._process.end()):
+            thread.join()
+
+    def _replace(self) -> None:
+        self._ending = [thread for thread in (*self._ending, self._process.end()) if thread.is_alive()]
+        self._process = WorkerProcess()
+
+    def _exceeds(self, process: WorkerProcess, limit: float, when: str) -> bool:
+        used = process.memory_gb
+        if used <= limit:
+            return False
+        why = f"the worker has {used:.2f} GB, more than {limit:g} GB, {when}"
+        failure = Failure("MEM_HIGH", why, {"used_gb": round(used, 3), "limit_gb": limit})
+        self._journal.record(
+            "failure", leaf=NAME, code=failure.code, message=failure.message, evidence=dict(failure.evidence)
+        )
+        return True
 
 
 class _StageJob:
@@ -76,24 +96,37 @@ class _StageJob:
         self._stage = stage
         self._arguments = arguments
         self._chances = 2
+        self._outgrown = False
         self._outcome: Outcome[Any] | None = None
         self._began = time.monotonic()
-        self._future, self._pool = worker.schedule(stage, arguments)
+        self._future, self._process = worker.schedule(stage, arguments)
 
     def poll(self) -> Outcome[Any]:
-        if self._outcome is None and (self._future.done() or not self._pool.active):
-            self._outcome = self._conclude()
+        if self._outcome is None:
+            self._watch()
+            if self._future.done() or not self._process.lives:
+                self._outcome = self._conclude()
         if self._outcome is not None:
             return self._outcome
         return Running(None, f"{time.monotonic() - self._began:.1f} s")
 
     def cancel(self) -> None:
+        self._outgrown = False
         self._future.cancel()
+
+    def _watch(self) -> None:
+        """End a stage that outgrows the machine before the kernel does, which may choose any process."""
+        if self._future.running() and self._worker.has_outgrown(self._process, self._stage):
+            self._outgrown = self._future.cancel()
 
     def _conclude(self) -> Outcome[Any] | None:
         try:
             value, seconds = self._result()
         except CancelledError:
+            if self._outgrown:
+                return self._again_or(
+                    Failure("PERC_DIED", f"the worker was killed for its memory during {self._stage}")
+                )
             return Failed(Failure("CANCELLED", f"{self._stage} was cancelled"))
         except FailureError as error:
             return self._failed(error.failure)
@@ -106,7 +139,7 @@ class _StageJob:
             return self._failed(
                 Failure("PERC_EXCEPTION", f"{self._stage}: {type(error).__name__}: {error}", {"traceback": trace})
             )
-        self._worker.record(self._stage, self._arguments, seconds, None)
+        self._worker.ended(self._process, self._stage, self._arguments, seconds, None)
         return Done(value)
 
     def _result(self) -> tuple[Any, float]:
@@ -116,34 +149,17 @@ class _StageJob:
         return value, seconds
 
     def _failed(self, failure: Failure) -> Outcome[Any]:
-        self._worker.record(self._stage, self._arguments, time.monotonic() - self._began, failure)
+        seconds = time.monotonic() - self._began
+        self._worker.ended(self._process, self._stage, self._arguments, seconds, failure)
         return Failed(failure)
 
     def _again_or(self, failure: Failure) -> Outcome[Any] | None:
         self._chances -= 1
         if self._chances == 0:
             return self._failed(failure)
-        self._future, self._pool = self._worker.schedule(self._stage, self._arguments)
+        self._outgrown = False
+        self._future, self._process = self._worker.schedule(self._stage, self._arguments)
         return None
-
-
-def _settle() -> None:
-    """In the worker's process, before its first stage."""
-    # Ctrl-C reaches every process of a terminal; whether a stage ends for it is the mission's to say.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
-    threading.Thread(target=_end_with, args=[os.getppid()], daemon=True).start()
-
-
-def _end_with(executive: int) -> None:
-    """A stage whose executive was killed would end in nobody's hands, beside that of the one that took its place."""
-    while os.getppid() == executive:
-        time.sleep(_GLANCE_S)
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def _new_pool() -> ProcessPool:
-    return ProcessPool(1, initializer=_settle, context=get_context("spawn"))
 
 
 def _run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, float]:

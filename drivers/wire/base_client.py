@@ -18,7 +18,8 @@ from drivers.messages import (
     Request,
     Stop,
 )
-from drivers.wire.client import Link, Patience
+from drivers.wire.agent_client import AgentClient
+from drivers.wire.client import Patience
 from drivers.wire.codec import encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.introduction import introduced
@@ -29,15 +30,10 @@ from drivers.wire.telemetry import Listener
 from perception.failure import FailureError
 
 
-class BaseClient:
-    """:class:`drivers.interfaces.Base` over ZeroMQ; each job has a thread and a socket of its own.
+class BaseClient(AgentClient):
+    """:class:`drivers.interfaces.Base` over ZeroMQ, by ``control`` and ``telemetry`` of the base's agent.
 
-    The beats have a socket too, which belongs to the one thread that calls :meth:`beat` and :meth:`close`.
-
-    Args:
-        endpoints: ``control`` and ``telemetry`` of the base's agent.
-        patience: how long a silent agent is asked again before ``AGENT_UNREACHABLE``.
-        mission: whose goals those are that it drives to; the agent remembers those of others too.
+    The beats have a socket of their own, which belongs to the one thread that calls :meth:`beat` and :meth:`close`.
     """
 
     def __init__(
@@ -47,10 +43,7 @@ class BaseClient:
         sockets: Sockets | None = None,
         mission: str = "",
     ) -> None:
-        self._endpoint = endpoints.control
-        self._mission = mission
-        self._patience = patience or Patience()
-        self._sockets = sockets or Sockets()
+        super().__init__(endpoints, patience, sockets, mission)
         self._listener = Listener(self._sockets.subscriber(endpoints.telemetry))
         self._lease: Lease | None = None
         self._beats: zmq.Socket | None = None
@@ -65,7 +58,7 @@ class BaseClient:
         """See :meth:`drivers.interfaces.Base.info`."""
 
         def run(progress: Progress) -> BaseInfo:
-            with self._link(progress) as link:
+            with self._control(progress) as link:
                 identity, clock = introduced(link, BaseIdentity)
             return BaseInfo(identity.model, identity.serial, PROTOCOL, identity.footprint, clock)
 
@@ -79,7 +72,7 @@ class BaseClient:
         """See :meth:`drivers.interfaces.Base.acquire`."""
 
         def run(progress: Progress) -> Lease:
-            with self._link(progress) as link:
+            with self._control(progress) as link:
                 granted = link.ask(AcquireLease(owner), LeaseGranted)
             self._lease = Lease(*granted.lease, granted.owner)
             return self._lease
@@ -92,7 +85,7 @@ class BaseClient:
         if lease is None or nonce is None:
             return
         if self._beats is None:
-            self._beats = self._sockets.dealer(self._endpoint)
+            self._beats = self._sockets.dealer(self._endpoints.control)
         frame = encode(Request(PROTOCOL, f"beat {tick}", Beat(lease.number, nonce, tick, may_move)))
         try:
             self._beats.send(frame, zmq.NOBLOCK)
@@ -107,7 +100,7 @@ class BaseClient:
 
         def run(progress: Progress) -> None:
             if lease is not None:
-                with self._link(progress) as link:
+                with self._control(progress) as link:
                     link.ask(ReleaseLease(lease.number), Ok)
 
         return BackgroundJob(run, "base release")
@@ -124,7 +117,7 @@ class BaseClient:
                 raise FailureError("LEASE_LOST", "the base was never acquired", goal_id=goal.goal_id, owner="")
             order = Goal.of(replace(goal, goal_id=full_name(self._mission, goal.goal_id)))
             try:
-                with self._link(progress) as link:
+                with self._control(progress) as link:
                     drive = RemoteDrive(link, self._listener, order, lease, self._patience)
                     return replace(drive.follow(progress), goal_id=goal.goal_id)
             except FailureError:
@@ -139,8 +132,5 @@ class BaseClient:
         return BackgroundJob(self._stop, "base stop")
 
     def _stop(self, progress: Progress, goal_id: str | None = None) -> None:
-        with self._link(progress) as link:
+        with self._control(progress) as link:
             link.ask(Stop(goal_id), Ok)
-
-    def _link(self, progress: Progress) -> Link:
-        return Link(self._sockets, self._endpoint, self._patience, progress)

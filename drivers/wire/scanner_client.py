@@ -22,11 +22,10 @@ from drivers.messages import (
     Take,
     Unknown,
 )
+from drivers.wire.agent_client import AgentClient
 from drivers.wire.client import Link, Patience
-from drivers.wire.endpoints import Endpoints
 from drivers.wire.introduction import introduced
 from drivers.wire.naming import full_name
-from drivers.wire.sockets import Sockets
 from drivers.wire.transfer import fetch
 from perception.failure import FailureError
 from perception.transforms import Matrix
@@ -36,26 +35,8 @@ PARTING = Patience(first=0.5, longest=1.0, total=3.0)
 """For the last words of a job that is over already."""
 
 
-class ScannerClient:
-    """:class:`drivers.interfaces.Scanner` over ZeroMQ; each job has a thread and a socket of its own.
-
-    Args:
-        endpoints: ``control`` and ``bulk`` of the scanner's agent.
-        patience: how long a silent agent is asked again before ``AGENT_UNREACHABLE``.
-        mission: whose scans those are that it takes; the agent has those of others too.
-    """
-
-    def __init__(
-        self,
-        endpoints: Endpoints,
-        patience: Patience | None = None,
-        sockets: Sockets | None = None,
-        mission: str = "",
-    ) -> None:
-        self._endpoints = endpoints
-        self._mission = mission
-        self._patience = patience or Patience()
-        self._sockets = sockets or Sockets()
+class ScannerClient(AgentClient):
+    """:class:`drivers.interfaces.Scanner` over ZeroMQ, by ``control`` and ``bulk`` of the scanner's agent."""
 
     def info(self) -> Job[ScannerInfo]:
         """See :meth:`drivers.interfaces.Scanner.info`."""
@@ -117,15 +98,12 @@ class ScannerClient:
                     status = link.ask(order, (Pending, ScanDone))
 
     def _abort(self, scan_id: str) -> None:
-        with Link(self._sockets, self._endpoints.control, PARTING, Progress()) as link:
+        with self._control(Progress(), PARTING) as link:
             link.ask(Abort(scan_id), Ok)
 
     def _release(self, receipt: ScanReceipt) -> None:
         with (
             suppress(FailureError),  # the scan is here; what stays there costs room, not truth
-            Link(self._sockets, self._endpoints.control, PARTING, Progress()) as link,
+            self._control(Progress(), PARTING) as link,
         ):
             link.ask(Release(receipt.scan_id, receipt.sha256), Ok)
-
-    def _control(self, progress: Progress) -> Link:
-        return Link(self._sockets, self._endpoints.control, self._patience, progress)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers import scan_file
 from mission.journal import read_events
-from mission.store import RunFolder, read_arrays
+from mission.store import RunFolder, read_arrays, read_mapping
 from perception.failure import FailureError
 from perception.grids import Grid
 from perception.scan import Scan
@@ -111,20 +111,12 @@ def read_run(folder: Path) -> Run:
     return Run(
         run.path,
         _mapping(run.config, yaml.safe_load) or {},
-        _mapping(run.state, json.loads) or {},
+        _mapping(run.state) or {},
         tuple(read_events(run.events)),
-        _mapping(evaluation, json.loads),
+        _mapping(evaluation),
     )
 
 
-def _mapping(path: Path, parse: Callable[[str], Any]) -> dict[str, Any] | None:
+def _mapping(path: Path, parse: Callable[[str], Any] = json.loads) -> dict[str, Any] | None:
     """What a file of names and values says; None where there is no such file."""
-    if not path.is_file():
-        return None
-    try:
-        found = parse(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise FailureError("RUN_UNREADABLE", f"{path} cannot be read: {error}") from error
-    if not isinstance(found, dict):
-        raise FailureError("RUN_UNREADABLE", f"{path}: expected names and values, found {found!r:.40}")
-    return found
+    return read_mapping(path, parse) if path.is_file() else None

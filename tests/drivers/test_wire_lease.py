@@ -9,9 +9,8 @@ import zmq
 
 from drivers.agent import base_agent
 from drivers.lease import LIMIT_S, NEVER, LeaseKeeper
-from drivers.messages import PROTOCOL, AnyReply, Beat, Drive, Goal, Late, Ok, Pending, Problem, Reply, Request
+from drivers.messages import Beat, Drive, Goal, Late, Ok, Pending, Problem
 from drivers.wire.base_client import BaseClient
-from drivers.wire.codec import Codec, encode
 from drivers.wire.endpoints import Endpoints
 from drivers.wire.sockets import Sockets
 from tests.drivers.wire_fakes import (
@@ -26,8 +25,7 @@ from tests.drivers.wire_fakes import (
     restarted,
     value_of,
 )
-
-replies: Codec = Codec(Reply[AnyReply])
+from tests.drivers.wire_talk import ask
 
 
 @pytest.fixture
@@ -57,12 +55,6 @@ def client(agent):
 def socket(agent):
     with Sockets().dealer(agent.endpoints.control) as socket:
         yield socket
-
-
-def ask(socket: zmq.Socket, body: object, request_id: str, **stamp: object) -> Reply:
-    socket.send(encode(Request(PROTOCOL, request_id, body, **stamp)))
-    assert socket.poll(20_000), "no reply"
-    return replies.decode(socket.recv())
 
 
 def stamp(socket: zmq.Socket) -> dict[str, object]:

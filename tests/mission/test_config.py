@@ -85,6 +85,13 @@ def test_overrides_come_on_top_and_are_yaml() -> None:
     assert config.settings.building.return_to_start is False
 
 
+@pytest.mark.parametrize("limit", ["memory_high_gb", "memory_cap_gb"])
+@pytest.mark.parametrize("value", ["0", "-1"])
+def test_a_worker_must_be_allowed_some_memory(limit: str, value: str) -> None:
+    (line,) = refusal(dict(WHOLE), (f"settings.worker.{limit}={value}",))
+    assert f"settings.worker.{limit}" in line and "greater than 0" in line
+
+
 @pytest.mark.parametrize("override", ["settings.room.max_scans", "site.name=x"])
 def test_an_override_that_cannot_be_applied_says_which(override: str) -> None:
     assert override in refusal(dict(WHOLE), (override,))[0]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -45,6 +46,36 @@ def test_the_state_is_json_whatever_its_figures_are_made_of(tmp_path: Path) -> N
     run = RunFolder.at(tmp_path)
     run.write_state({"pose": np.eye(2), "points": np.int64(3), "share": np.float32(0.5), "file": Path("a")})
     assert json.loads(run.state.read_text()) == {"pose": [[1, 0], [0, 1]], "points": 3, "share": 0.5, "file": "a"}
+
+
+@pytest.mark.parametrize("text", ['{"rooms": 1}', "rooms: 1"], ids=["json", "yaml"])
+def test_names_and_values_are_read_back(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a").write_text(text)
+    assert store.read_mapping(tmp_path / "a", json.loads if text.startswith("{") else yaml.safe_load) == {"rooms": 1}
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (None, "cannot be read: .*No such file"),
+        (b'{"rooms": ', "cannot be read: Expecting value"),
+        (b"\xff", "cannot be read: .*utf-8"),
+        (b"[1, 2]", r"expected names and values, found \[1, 2\]"),
+        (b"null", "expected names and values, found None"),
+    ],
+)
+def test_a_file_that_says_no_names_and_values_is_named(content: bytes | None, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(FailureError, match=rf"RUN_UNREADABLE.*state\.json.*{why}"):
+        store.read_mapping(path)
+
+
+def test_a_file_that_is_no_yaml_is_named(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("a: [")
+    with pytest.raises(FailureError, match=r"RUN_UNREADABLE.*config\.yaml cannot be read"):
+        store.read_mapping(tmp_path / "config.yaml", yaml.safe_load)
 
 
 def test_what_cannot_be_written_leaves_the_old_file(tmp_path: Path) -> None:

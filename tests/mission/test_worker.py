@@ -13,11 +13,16 @@ from typing import Any
 
 import pytest
 
+from behaviours.settings import WorkerSettings
 from drivers.jobs import Done, Failed, Job, Running
 from mission import worker as module
 from mission.worker import PerceptionWorker
+from mission.worker_process import NICENESS, WorkerProcess
 from perception.failure import Failure
 from tests.mission import worker_stages
+
+HIGH_GB = 0.4
+"""More than a worker has that has done nothing yet."""
 
 
 @pytest.fixture
@@ -26,10 +31,17 @@ def events() -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def worker(tmp_path: Path, events: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> Iterator[PerceptionWorker]:
+def settings() -> WorkerSettings:
+    return WorkerSettings()
+
+
+@pytest.fixture
+def worker(
+    tmp_path: Path, events: list[dict[str, Any]], settings: WorkerSettings, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[PerceptionWorker]:
     monkeypatch.setattr(module, "_run_stage", worker_stages.run_stage)
     journal = SimpleNamespace(record=lambda kind, /, **figures: events.append({"kind": kind, **figures}))
-    worker = PerceptionWorker(tmp_path, journal)
+    worker = PerceptionWorker(tmp_path, journal, settings)
     yield worker
     worker.close()
 
@@ -46,6 +58,19 @@ def failure_of(job: Job[Any]) -> Failure:
     outcome = outcome_of(job)
     assert isinstance(outcome, Failed)
     return outcome.failure
+
+
+def value_of(job: Job[Any]) -> Any:
+    outcome = outcome_of(job)
+    assert isinstance(outcome, Done), outcome
+    return outcome.value
+
+
+def eventually_dead(process: int) -> None:
+    end = time.monotonic() + 20
+    while is_alive(process):
+        assert time.monotonic() < end, "it lives on"
+        time.sleep(0.01)
 
 
 def is_alive(process: int) -> bool:
@@ -80,7 +105,7 @@ def test_a_stage_runs_in_one_process_of_its_own_and_is_on_record(
 def test_the_tick_loop_goes_before_the_worker_on_a_busy_core(worker: PerceptionWorker) -> None:
     found = outcome_of(worker.submit("niceness"))
     assert isinstance(found, Done)
-    assert found.value == min(os.nice(0) + module.NICENESS, 19) > os.nice(0)
+    assert found.value == min(os.nice(0) + NICENESS, 19) > os.nice(0)
 
 
 def test_a_stage_that_refuses_comes_back_with_its_code_and_evidence(
@@ -141,6 +166,55 @@ def test_a_cancelled_stage_is_killed_and_the_next_one_runs(worker: PerceptionWor
     assert failure_of(job).code == "CANCELLED"
     assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2)
     assert not is_alive(process)
+
+
+@pytest.mark.parametrize("settings", [WorkerSettings(memory_high_gb=HIGH_GB)])
+def test_a_worker_that_keeps_too_much_memory_is_replaced_between_two_stages(
+    worker: PerceptionWorker, events: list[dict[str, Any]]
+) -> None:
+    slim, large = (value_of(worker.submit("hoard", gb=gb)) for gb in (0.01, HIGH_GB))
+    assert slim == large, "one that keeps little stays"
+    told = [event for event in events if event["kind"] == "failure"]
+    assert [(event["code"], event["evidence"]["limit_gb"]) for event in told] == [("MEM_HIGH", HIGH_GB)]
+    assert HIGH_GB < told[0]["evidence"]["used_gb"] < 2 * HIGH_GB + 0.2
+    fresh = value_of(worker.submit("process_id"))
+    assert fresh not in (large, os.getpid())
+    assert value_of(worker.submit("process_id")) == fresh
+    eventually_dead(large)
+    assert [event["failure"] for event in events if event["kind"] == "stage"] == [None] * 4, "no result was lost"
+
+
+@pytest.mark.parametrize("settings", [WorkerSettings(memory_cap_gb=HIGH_GB)])
+@pytest.mark.parametrize(("times", "codes"), [(1, ["MEM_HIGH"]), (9, ["MEM_HIGH", "MEM_HIGH"])], ids=["once", "again"])
+def test_a_stage_that_outgrows_its_cap_is_killed_and_gets_a_second_chance_and_no_third(
+    worker: PerceptionWorker, events: list[dict[str, Any]], tmp_path: Path, times: int, codes: list[str]
+) -> None:
+    outcome = outcome_of(worker.submit("burst", gb=2 * HIGH_GB, times=times))
+    if times == 1:
+        assert outcome == Done("ended after 1")
+    else:
+        assert isinstance(outcome, Failed) and outcome.failure.code == "PERC_DIED"
+    assert [event["code"] for event in events if event["kind"] == "failure"] == codes
+    victims = (tmp_path / "bursts").read_text().split()
+    assert len(set(victims)) == len(codes)
+    for victim in map(int, victims):
+        eventually_dead(victim)
+    assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2)
+
+
+@pytest.mark.parametrize("settings", [WorkerSettings(memory_high_gb=HIGH_GB)])
+def test_closing_leaves_no_process_of_those_that_were_replaced(worker: PerceptionWorker) -> None:
+    large = value_of(worker.submit("hoard", gb=HIGH_GB))
+    worker.close()
+    assert not is_alive(large)
+    assert multiprocessing.active_children() == []
+
+
+def test_a_machine_that_tells_nobodys_memory_replaces_nobody(tmp_path: Path) -> None:
+    """As one without /proc, and as any before the first stage."""
+    process = WorkerProcess()
+    assert process.memory_gb == 0.0
+    process.end().join()
 
 
 def test_closing_leaves_no_process_behind_even_in_the_middle_of_a_stage(

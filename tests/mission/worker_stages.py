@@ -10,6 +10,8 @@ from typing import Any
 from mission import worker as module
 from perception.failure import FailureError
 
+_HOARD: list[bytes] = []
+
 
 def run_stage(run: str, stage: str, arguments: dict[str, Any]) -> tuple[Any, float]:
     """What the worker's process calls, in place of :func:`mission.worker._run_stage`."""
@@ -60,6 +62,24 @@ def hang(run: Path) -> None:
     time.sleep(60)
 
 
+def hoard(run: Path, gb: float) -> int:
+    """It takes memory that it never gives back."""
+    _HOARD.append(b"x" * int(gb * 1e9))
+    return os.getpid()
+
+
+def burst(run: Path, gb: float, times: int) -> str:
+    """It takes memory, and goes on for long with that, the first so many times."""
+    bursts = run / "bursts"
+    count = len(bursts.read_text().split()) if bursts.exists() else 0
+    if count < times:
+        with bursts.open("a") as stream:
+            stream.write(f"{os.getpid()}\n")
+        hoard(run, gb)
+        time.sleep(60)
+    return f"ended after {count}"
+
+
 def open_what_is_not_there(run: Path) -> None:
     (run / "M07.npz").open()
 
@@ -72,5 +92,7 @@ STAGES = {
     "break_down": break_down,
     "die": die,
     "hang": hang,
+    "hoard": hoard,
+    "burst": burst,
     "open_what_is_not_there": open_what_is_not_there,
 }

@@ -6,6 +6,7 @@ from typing import Any
 
 from py_trees.common import Status
 
+from behaviours.fence import fence_of
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from behaviours.scanning import StageLeaf
@@ -151,6 +152,7 @@ class BuildMap(StageLeaf):
             "track": list(survey.track),
             "room_id": self.read(Key.ROOM),
             "cycle": survey.cycle_number(self.read(Key.ROOM)),
+            "fence": fence_of(survey, self.services.settings),
         }
 
     def finish(self, value: Any) -> Status:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from py_trees.common import Status
 
 from behaviours.conditions import Condition
+from behaviours.fence import fence_of, within
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
 from behaviours.mapping import poses
@@ -69,6 +70,7 @@ class FindDoors(StageLeaf):
     def finish(self, value: DoorFindings) -> Status:
         survey, room_id = self.read(Key.SURVEY), self.read(Key.ROOM)
         building = survey.building.observe_doors(room_id, value.doors, survey.shapes)
+        building = within(building, fence_of(survey, self.services.settings))
         self.write(Key.SURVEY, replace(survey, building=building, suspects=value.suspects))
         self.services.journal.record(
             "doors",

@@ -5,11 +5,14 @@ from typing import ClassVar
 from py_trees.common import Status
 
 from behaviours.conditions import Condition
+from behaviours.fence import fence_of
 from behaviours.job import JobLeaf
 from behaviours.keys import Key
 from behaviours.leaf import Leaf
+from behaviours.survey import Survey
 from drivers.interfaces import BaseState
 from drivers.jobs import Done, Job
+from perception.building import contains
 from perception.failure import Failure
 
 
@@ -53,7 +56,7 @@ class Hold(Leaf):
     Its questions are named by its code, and not numbered with those of the work.
     """
 
-    reads = (Key.BASE,)
+    reads: ClassVar[tuple[Key, ...]] = (Key.BASE,)
     writes = (Key.HOLD, Key.QUESTION)
     code: ClassVar[str]
     until_told: ClassVar[bool] = False
@@ -213,6 +216,25 @@ class HoldForRogueBase(Hold):
             self._told_at = now
             self.services.base.stop()
         return "The base moves though no drive is under way; see who pushes or steers it."
+
+    def limit(self) -> float:
+        return self.services.settings.building.release_s
+
+
+class HoldForFence(Hold):
+    """The robot stands outside of its fence: pushed there, or lost. It comes back only by somebody's hand and word."""
+
+    code = "GEOFENCE"
+    reads = (Key.BASE, Key.SURVEY)
+    until_told = True
+
+    def trouble(self, base: BaseState) -> str | None:
+        survey: Survey = self.read(Key.SURVEY)
+        boundary, pose = fence_of(survey, self.services.settings), survey.believed_pose(base)
+        if boundary is None or pose is None or contains(boundary, pose[:2, 3]):
+            return None
+        x, y = pose[:2, 3]
+        return f"The robot is outside of its fence, at ({x:.1f}, {y:.1f}); bring it back inside, then resume."
 
     def limit(self) -> float:
         return self.services.settings.building.release_s

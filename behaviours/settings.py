@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from perception import fence
+
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Share = Annotated[float, Ge(0), Le(1)]
@@ -83,6 +85,8 @@ class BuildingSettings:
 
     A base that is silent for ``base_lost_s`` (seconds of the wall) holds the mission for ``base_return_s`` at most, a
     pressed emergency stop for ``release_s``.
+    ``fence`` is a polygon that the robot's middle does not leave: metres ahead of and to the left of where it stands
+    when the mission begins. Without corners there is none.
     """
 
     max_rooms: Count = 100
@@ -90,6 +94,11 @@ class BuildingSettings:
     base_lost_s: Positive = 3.0
     base_return_s: Positive = 60.0
     release_s: Positive = 600.0
+    fence: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.fence:
+            fence.check(self.fence)
 
 
 @dataclass(frozen=True)

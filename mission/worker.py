@@ -18,6 +18,8 @@ from mission.worker_process import WorkerProcess
 from perception.failure import Failure, FailureError
 
 NAME = "perception worker"
+_ATTEMPTS, _LIVES = 2, 3
+"""How often a stage is tried that hangs or takes too much memory, which it would again; and one whose process dies."""
 
 
 class PerceptionWorker:
@@ -89,13 +91,13 @@ class PerceptionWorker:
 
 
 class _StageJob:
-    """A stage under way; a process that died under it is given one more chance."""
+    """A stage under way; it is begun again where its process hung, or died under it, a few times in all."""
 
     def __init__(self, worker: PerceptionWorker, stage: str, arguments: Mapping[str, object]) -> None:
         self._worker = worker
         self._stage = stage
         self._arguments = arguments
-        self._chances = 2
+        self._attempts = 1
         self._outgrown = False
         self._outcome: Outcome[Any] | None = None
         self._began = time.monotonic()
@@ -124,16 +126,15 @@ class _StageJob:
             value, seconds = self._result()
         except CancelledError:
             if self._outgrown:
-                return self._again_or(
-                    Failure("PERC_DIED", f"the worker was killed for its memory during {self._stage}")
-                )
+                words = f"the worker was killed for its memory during {self._stage}"
+                return self._again_or(Failure("PERC_DIED", words), _ATTEMPTS)
             return Failed(Failure("CANCELLED", f"{self._stage} was cancelled"))
         except FailureError as error:
             return self._failed(error.failure)
         except DeadlineError:
-            return self._again_or(Failure("PERC_TIMEOUT", f"{self._stage} did not end within its deadline"))
+            return self._again_or(Failure("PERC_TIMEOUT", f"{self._stage} did not end within its deadline"), _ATTEMPTS)
         except (ProcessExpired, BrokenProcessPool) as error:
-            return self._again_or(Failure("PERC_DIED", f"the worker died during {self._stage}: {error}"))
+            return self._again_or(Failure("PERC_DIED", f"the worker died during {self._stage}: {error}"), _LIVES)
         except Exception as error:
             trace = getattr(error, "traceback", "")
             return self._failed(
@@ -153,10 +154,10 @@ class _StageJob:
         self._worker.ended(self._process, self._stage, self._arguments, seconds, failure)
         return Failed(failure)
 
-    def _again_or(self, failure: Failure) -> Outcome[Any] | None:
-        self._chances -= 1
-        if self._chances == 0:
+    def _again_or(self, failure: Failure, most: int) -> Outcome[Any] | None:
+        if self._attempts >= most:
             return self._failed(failure)
+        self._attempts += 1
         self._outgrown = False
         self._future, self._process = self._worker.schedule(self._stage, self._arguments)
         return None

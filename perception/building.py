@@ -131,7 +131,7 @@ class DoorEdge:
         rooms: the room it was first seen from, and the one behind it or None.
         sightings: the newest sighting of each room that saw it, the first room's first.
         state: ``unexplored``, ``passed`` (by the robot), ``linked`` (leads between rooms that are known already),
-            ``deferred`` (to be tried once more) or ``refused``.
+            ``deferred`` (to be tried once more), ``refused``, or ``forbidden`` (none of this mission's).
         reason: of the last deferral.
         attempts: how often it could not be passed.
     """
@@ -258,6 +258,10 @@ class Building:
     def refuse(self, door_id: str, reason: str) -> "Building":
         """A door will never be passed, such as one too narrow."""
         return self._with_edge(replace(self.edge(door_id), state="refused", reason=reason))
+
+    def forbid(self, door_id: str, reason: str) -> "Building":
+        """A door that this mission is not to go through, whatever is behind it."""
+        return self._with_edge(replace(self.edge(door_id), state="forbidden", reason=reason))
 
     def reconsider_doors(self) -> "Building":
         """Every refused door is as if it had never been tried."""

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from perception.findings import Polygon
 from perception.flatness import Flatness, flatness_map
 from perception.grids import Cell, Grid
 from perception.rasters import counted, picked
@@ -27,6 +28,7 @@ CLEARINGS = 2
 """Scans in a row that must see the floor where an obstacle was before it is forgotten."""
 LOW_BEAM = 0.10
 """A beam crosses a cell near the floor if it is lower than this over it, metres."""
+_FENCE_CELLS = 2
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,14 @@ def couple(previous: MapEvidence | None, partial: MapEvidence) -> MapEvidence:
     old, new = (_placed(e, origin, np.maximum(*ends)) for e in (previous, partial))
     cleared = np.where(new.hits > 0, 0, old.cleared + new.cleared).astype(np.int16)
     return MapEvidence(old.hits + new.hits, old.floor_seen + new.floor_seen, cleared, new.origin, new.resolution)
+
+
+def fenced(grid: Grid, fence: Polygon) -> Grid:
+    """The grid of :class:`Cell` with a line of obstacles along a polygon: no way that is planned in it leads across."""
+    lines = grid.data.copy()
+    corners = np.rint((fence - grid.origin) / grid.resolution - 0.5).astype(np.int32)
+    cv2.polylines(lines, [corners], isClosed=True, color=int(Cell.OBSTACLE), thickness=_FENCE_CELLS)
+    return grid.with_data(lines)
 
 
 def mark_free(grid: Grid, poses: ArrayLike, radius: float, over_obstacles: bool = False) -> Grid:

@@ -34,6 +34,7 @@ _DOOR_WORDS = {
     "linked": "leads to a room that was entered by another door",
     "deferred": "left for later, and not tried again",
     "refused": "could not be passed",
+    "forbidden": "leads out of the fence",
 }
 
 _RECOVERIES = {

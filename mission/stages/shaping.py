@@ -48,6 +48,7 @@ def build_map(
     track: Sequence[tuple[float, float, float]],
     room_id: str,
     cycle: int,
+    fence: Polygon | None = None,
 ) -> MapSummary:
     map_from_scanner = matrix(pose)
     scan = library.scan(scan_id)
@@ -58,6 +59,8 @@ def build_map(
     evidence = robot_map.couple(_load_evidence(library, previous), partial.evidence)
     grid = robot_map.mark_free(evidence.to_grid(), track, _HALF_WIDTH)
     grid = robot_map.mark_free(grid, track[-1:], _HALF_WIDTH, over_obstacles=True)
+    if fence is not None:
+        grid = robot_map.fenced(grid, fence)
     map_id = f"robot_map_{scan_id}"
     save_grid(library.run.map_file(map_id), grid)
     write_arrays(library.run.map_evidence_file(map_id), **vars(evidence))

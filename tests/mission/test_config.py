@@ -147,3 +147,16 @@ def test_a_yaml_file_makes_no_objects(tmp_path: Path) -> None:
     path.write_text("site: !!python/object/apply:os.getcwd []\n")
     with pytest.raises(ConfigError, match="not YAML"):
         load_config(path)
+
+
+def test_a_fence_is_read_kept_and_refused_with_the_reason(tmp_path: Path) -> None:
+    def fenced(corners: list[list[float]]) -> dict[str, Any]:
+        return WHOLE | {"settings": {"building": {"fence": corners}}}
+
+    config = parse_config(fenced([[-2, -3], [12, -3], [12, 9], [-2, 9]]), "site.yaml")
+    assert config.settings.building.fence == ((-2.0, -3.0), (12.0, -3.0), (12.0, 9.0), (-2.0, 9.0))
+    kept = tmp_path / "config.yaml"
+    kept.write_text(dump_config(config))
+    assert load_config(kept) == config
+    (line,) = refusal(fenced([[1, 1], [2, 1], [2, 2]]))
+    assert line.startswith("site.yaml: settings.building") and "must lie inside the fence" in line

@@ -121,13 +121,13 @@ def test_a_stage_that_refuses_comes_back_with_its_code_and_evidence(
     assert failure_of(worker.submit("no such stage")).code == "PERC_EXCEPTION"
 
 
-def test_a_process_that_dies_gets_a_second_chance_and_no_third(
+def test_a_stage_whose_process_dies_has_three_lives_and_no_fourth(
     worker: PerceptionWorker, events: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    assert outcome_of(worker.submit("die", times=1)) == Done("alive after 1")
+    assert outcome_of(worker.submit("die", times=2)) == Done("alive after 2")
     (tmp_path / "deaths").unlink()
     assert failure_of(worker.submit("die", times=9)).code == "PERC_DIED"
-    assert (tmp_path / "deaths").read_text() == "xx"
+    assert (tmp_path / "deaths").read_text() == "xxx"
     assert [event["failure"] for event in events] == [None, "PERC_DIED"]
     assert outcome_of(worker.submit("add", a=1, b=1)) == Done(2), "the next stage has a process again"
 

@@ -185,3 +185,14 @@ def test_unknown_names_are_refused():
         Building().edge("D1")
     with pytest.raises(FailureError, match="BUILDING_UNKNOWN_ROOM"):
         Building().room("R1")
+
+
+def test_a_forbidden_door_is_no_shortfall_and_is_not_tried_again():
+    seen = door(1.0, 2.0)
+    building, room = start(seen)
+    (edge,) = building.doors
+    shut = building.forbid(edge.id, "GEOFENCE")
+    assert shut.next_door((0.0, 0.0)) is None and shut.unfinished_doors() == ()
+    assert shut.reconsider_doors() == shut == Building.from_dict(shut.to_dict())
+    again = shut.observe_doors(room, [seen])
+    assert (again.doors[0].state, again.doors[0].reason) == ("forbidden", "GEOFENCE")

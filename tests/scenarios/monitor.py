@@ -248,7 +248,7 @@ def unexplained(executive: Executive, said: str, failures: list[dict[str, Any]])
             found += [] if shortfalls or refused or "MAX_ROOMS" in met else ["incomplete without a shortfall"]
         case Phase.ABORTED:
             held = state.code == "SAFETY_STOP" and met & {
-                "ESTOP", "BASE_LOST", "LEASE_LOST", "BASE_ROGUE", "DISK_FULL", "BATTERY_CRITICAL",
+                "ESTOP", "BASE_LOST", "LEASE_LOST", "BASE_ROGUE", "GEOFENCE", "DISK_FULL", "BATTERY_CRITICAL",
             }  # fmt: skip
             found += [] if held or said == "abort" else ["aborted by nobody"]
         case Phase.FAULT:

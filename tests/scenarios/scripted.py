@@ -203,6 +203,10 @@ class ScriptedBase:
         self.boots += 1
         self.owner, self.was_placed = "", False
 
+    def push(self, x: float) -> None:
+        """Somebody rolls it along x by so much, and its wheels notice."""
+        self.pose = (self.pose[0] + x, *self.pose[1:])
+
     def slip(self, x: float, y: float, yaw: float) -> None:
         """It is moved by so much, and its wheels do not notice: odometry says that it stands where it stood."""
         odometry = self.odom_from_map @ self.map_from_base

@@ -137,6 +137,10 @@ class WorkerSettings:
     memory_high_gb: Positive = 6.0
     memory_cap_gb: Positive = 12.0
 
+    def __post_init__(self) -> None:
+        if self.memory_cap_gb < self.memory_high_gb:
+            raise ValueError("memory_cap_gb must not be less than memory_high_gb")
+
 
 @dataclass(frozen=True)
 class Settings:

@@ -59,12 +59,13 @@ class PerceptionWorker:
         """Whether a process has more memory than the machine is to lose to it, and so must not go on."""
         return self._exceeds(process, self._settings.memory_cap_gb, f"during {stage}; it is killed")
 
-    def ended(
-        self, process: WorkerProcess, stage: str, arguments: Mapping[str, object], seconds: float, why: Failure | None
-    ) -> None:
-        """Note a stage that came to its end, and let a process that has grown large do no other."""
+    def ended(self, stage: str, arguments: Mapping[str, object], seconds: float, why: Failure | None) -> None:
+        """Note a stage that came to its end, or never will."""
         ids = {key: arguments[key] for key in ("scan_id", "room_id", "cycle") if key in arguments}
         self._journal.record("stage", name=stage, seconds=round(seconds, 4), failure=why and why.code, **ids)
+
+    def has_lived_through(self, process: WorkerProcess, stage: str) -> None:
+        """Let a process that has grown large do no other stage."""
         limit = self._settings.memory_high_gb
         if process is self._process and self._exceeds(process, limit, f"after {stage}; another takes its place"):
             self._replace()
@@ -140,7 +141,7 @@ class _StageJob:
             return self._failed(
                 Failure("PERC_EXCEPTION", f"{self._stage}: {type(error).__name__}: {error}", {"traceback": trace})
             )
-        self._worker.ended(self._process, self._stage, self._arguments, seconds, None)
+        self._ended(seconds, None)
         return Done(value)
 
     def _result(self) -> tuple[Any, float]:
@@ -150,13 +151,17 @@ class _StageJob:
         return value, seconds
 
     def _failed(self, failure: Failure) -> Outcome[Any]:
-        seconds = time.monotonic() - self._began
-        self._worker.ended(self._process, self._stage, self._arguments, seconds, failure)
+        self._ended(time.monotonic() - self._began, failure)
         return Failed(failure)
+
+    def _ended(self, seconds: float, why: Failure | None) -> None:
+        self._worker.ended(self._stage, self._arguments, seconds, why)
+        self._worker.has_lived_through(self._process, self._stage)
 
     def _again_or(self, failure: Failure, most: int) -> Outcome[Any] | None:
         if self._attempts >= most:
-            return self._failed(failure)
+            self._worker.ended(self._stage, self._arguments, time.monotonic() - self._began, failure)
+            return Failed(failure)
         self._attempts += 1
         self._outgrown = False
         self._future, self._process = self._worker.schedule(self._stage, self._arguments)

@@ -92,6 +92,11 @@ def test_a_worker_must_be_allowed_some_memory(limit: str, value: str) -> None:
     assert f"settings.worker.{limit}" in line and "greater than 0" in line
 
 
+def test_a_worker_is_not_killed_before_it_is_replaced() -> None:
+    (line,) = refusal(dict(WHOLE), ("settings.worker.memory_high_gb=13",))
+    assert line.startswith("site.yaml: settings.worker") and "must not be less than memory_high_gb" in line
+
+
 @pytest.mark.parametrize("override", ["settings.room.max_scans", "site.name=x"])
 def test_an_override_that_cannot_be_applied_says_which(override: str) -> None:
     assert override in refusal(dict(WHOLE), (override,))[0]

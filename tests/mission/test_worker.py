@@ -184,7 +184,7 @@ def test_a_worker_that_keeps_too_much_memory_is_replaced_between_two_stages(
     assert [event["failure"] for event in events if event["kind"] == "stage"] == [None] * 4, "no result was lost"
 
 
-@pytest.mark.parametrize("settings", [WorkerSettings(memory_cap_gb=HIGH_GB)])
+@pytest.mark.parametrize("settings", [WorkerSettings(HIGH_GB, HIGH_GB)])
 @pytest.mark.parametrize(("times", "codes"), [(1, ["MEM_HIGH"]), (9, ["MEM_HIGH", "MEM_HIGH"])], ids=["once", "again"])
 def test_a_stage_that_outgrows_its_cap_is_killed_and_gets_a_second_chance_and_no_third(
     worker: PerceptionWorker, events: list[dict[str, Any]], tmp_path: Path, times: int, codes: list[str]

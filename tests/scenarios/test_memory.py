@@ -56,7 +56,7 @@ def test_a_worker_that_grows_is_replaced_between_two_stages(play: Play, worker: 
     assert 1 < len(play.events.codes) < len(play.events.of("stage")) / 2
 
 
-@pytest.mark.parametrize("limits", [WorkerSettings(memory_cap_gb=LIMIT_GB)])
+@pytest.mark.parametrize("limits", [WorkerSettings(LIMIT_GB, LIMIT_GB)])
 @pytest.mark.parametrize(
     ("bursts", "codes", "ends"),
     [

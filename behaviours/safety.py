@@ -230,7 +230,8 @@ class HoldForFence(Hold):
 
     def trouble(self, base: BaseState) -> str | None:
         survey: Survey = self.read(Key.SURVEY)
-        boundary, pose = fence_of(survey, self.services.settings), survey.believed_pose(base)
+        # Not by the base's own localisation: before its first drive that is still in another mission's map.
+        boundary, pose = fence_of(survey, self.services.settings), survey.reckoned_pose(base)
         if boundary is None or pose is None or contains(boundary, pose[:2, 3]):
             return None
         x, y = pose[:2, 3]

@@ -205,7 +205,12 @@ class Survey:
             return None
         if base.map_from_base is not None:
             return base.map_from_base
+        reckoned = self.reckoned_pose(base)
+        return planar(*self.track[-1]) if reckoned is None else reckoned
+
+    def reckoned_pose(self, base: BaseState) -> Matrix | None:
+        """``map_from_base`` by odometry alone, from the last scan on; None where that does not lead to here."""
+        if not self.scans or not self.knows_place(base):
+            return None
         last = self.scans[-1]
-        if not self.knows_place(base):
-            return planar(*self.track[-1])
         return last.map_from_base @ inverse(last.odom_from_base) @ base.odom_from_base

@@ -40,6 +40,7 @@ _DOOR_WORDS = {
 _RECOVERIES = {
     "move nearby": "the scan was taken again from a spot nearby",
     "register by features": "a scan was registered by features instead of from odometry",
+    "when they have gone": "somebody was in a scan, and another was taken when they had gone",
     "bridge": "a scan between was taken to find the place of another",
     "register the scan set aside": "a scan that had been set aside found its place",
     "next best instead": "a view that could not be reached gave way to the next best",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from behaviours.settings import BuildingSettings, Settings
+from drivers.interfaces import BaseState
 from perception import transforms
 from perception.building import contains
 from tests.scenarios.play import Play
@@ -70,3 +71,18 @@ def test_who_is_outside_stands_still_until_it_is_brought_back_and_told(attended:
     assert "hold(GEOFENCE)" in play.phases
     (asked,) = play.events.of("asked")
     assert "GEOFENCE: The trouble is over" in asked["text"]
+
+
+def test_where_the_base_was_in_another_missions_map_holds_nobody() -> None:
+    """Its own localisation is of the map it was given last, which before the first drive is none of this mission's."""
+    play = fenced()
+    state = play.base.state
+
+    def with_an_old_place() -> BaseState | None:
+        base = state()
+        old = None if play.base.goals else transforms.planar(99.0, 0.0, 0.0)
+        return base and replace(base, map_from_base=old)
+
+    play.base.state = with_an_old_place
+    assert play.run() == "complete"
+    assert "hold(GEOFENCE)" not in play.phases

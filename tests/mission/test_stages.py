@@ -1,6 +1,8 @@
 """The stages in a row, as the worker runs them, on synthetic scans: what they return and what they leave on disk."""
 
+import shutil
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from mission.stages.shaping import MapSummary
 from mission.store import RunFolder, load_space, read_arrays
 from perception import transforms
 from perception.failure import FailureError
-from perception.findings import Alignment, DoorFindings, LabelCounts, Registration, RoomShape, ViewChoice
+from perception.findings import Alignment, DoorFindings, LabelCounts, Movement, Registration, RoomShape, ViewChoice
 from perception.grids import Cell, Label
 from perception.scan import BeamPattern, Scan
 from tests.perception import rooms
@@ -171,6 +173,29 @@ def test_the_robot_is_not_walled_in_where_it_stands(survey: Survey) -> None:
         x, y, _ = transforms.to_planar(MAP_FROM_WORLD @ true_pose(name))
         centres = grid.centres_of(np.argwhere(grid.data == Cell.OBSTACLE))
         assert np.hypot(*(centres - (x, y)).T).min() > 0.4
+
+
+def test_a_fence_stands_in_the_robot_map(survey: Survey, tmp_path: Path) -> None:
+    run = RunFolder(Path(shutil.copytree(survey.run.path, tmp_path / "fenced")))
+    pose = survey.anchor.map_from_scanner.tolist()
+    place = {"room_id": "R1", "cycle": 1, "scan_id": "S01", "pose": pose, "previous": None, "doors": ()}
+    fence = np.array([[-1.0, -1.0], [1.2, -1.0], [1.2, 1.0], [-1.0, 1.0]])
+    asked = place | {"shape": survey.shape, "track": [(0.0, 0.0, 0.0)], "fence": fence}
+    made = stages.run(Library(run), "build_map", asked)
+    fenced = run.robot_map(made.map_id)
+    corners = np.vstack([fence, fence[:1]])
+    for (x0, y0), (x1, y1) in pairwise(corners):
+        along = np.linspace((x0, y0), (x1, y1), 50)
+        rows, columns = fenced.cells_of(along).T
+        assert (fenced.data[rows, columns] == Cell.OBSTACLE).all()
+    assert fenced.data[tuple(fenced.cells_of((0.0, 0.0)))] == Cell.FREE
+
+
+def test_nobody_moved_between_the_two_scans(survey: Survey) -> None:
+    earlier = [("S01", survey.anchor.map_from_scanner.tolist())]
+    asked = {"scan_id": "S02", "pose": survey.second.map_from_scanner.tolist(), "earlier": earlier}
+    found = stages.run(Library(survey.run), "find_movement", asked | {"shape": survey.shape})
+    assert isinstance(found, Movement) and found.share < 0.002
 
 
 def test_the_second_scan_leaves_less_occluded_and_the_space_loads_back(survey: Survey) -> None:

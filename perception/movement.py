@@ -22,6 +22,8 @@ _HEIGHTS = 0.10, 2.20
 """Over the floor, metres: above it people end, below it beams graze."""
 _DEPTH, _DEPTH_SHARE = 0.15, 0.02
 """How far behind a point an earlier beam must have ended: a pose may be wrong, and so may a range."""
+_BODY = 0.6
+"""How far before a point it may have ended on the same body, metres: people are seen from all sides."""
 
 
 def find_movement(
@@ -35,7 +37,7 @@ def find_movement(
     Args:
         points: ``(N, 3)`` of the scan, scanner frame, metres; every few of its beams are enough.
         map_from_scanner: 4x4, where it was taken.
-        earlier: surface and ``map_from_scanner`` of scans taken before it.
+        earlier: surface and ``map_from_scanner`` of scans taken before it, the oldest first.
         shape: of the room that it was taken in.
     """
     room = shapely.Polygon(shape.contour)
@@ -58,13 +60,14 @@ def _stands_in(room: shapely.Polygon, floor_z: float, placed: NDArray[np.floatin
 
 
 def _was_empty(placed: NDArray[np.floating], views: Sequence[tuple[Surface, Matrix]]) -> NDArray[np.bool_]:
-    """Where a beam of an earlier scan had gone on, and none had ended."""
-    through, met = np.zeros(len(placed), bool), np.zeros(len(placed), bool)
+    """Where a beam of an earlier scan had gone on, and none has ended since."""
+    empty = np.zeros(len(placed), bool)
     for surface, pose in views:
         seen = transforms.apply(transforms.inverse(pose), placed).astype(np.float32)
         cells, distance = thinning.view_cells(np.ascontiguousarray(seen))
         free = surface.sight.ravel()[cells]
         margin = _DEPTH_SHARE * distance + _DEPTH
-        through |= (free > 0) & (free > distance + margin)
-        met |= (free > 0) & (np.abs(free - distance) <= margin)
-    return through & ~met
+        through = free > distance + margin
+        met = (free > 0) & ~through & (free > distance - margin - _BODY)
+        empty = (empty | through) & ~met
+    return empty

@@ -58,6 +58,15 @@ def test_somebody_who_stood_there_all_the_time_is_furniture():
     assert movement(standing, earlier=standing).share < 0.001
 
 
+def test_somebody_who_came_and_stays_is_new_once():
+    """The second scan is the one to be taken again; to a third one they were there before."""
+    staying = [person(5.2, 5.6)]
+    earlier = [(surface_of(points), pose) for points, pose in (scan(FIRST), scan(SECOND, staying, seed=1))]
+    third = scan((3.0, 6.5, 0.0), staying, seed=2)
+    assert find_movement(*third, earlier[:1], ROOM).share > 0.01
+    assert find_movement(*third, earlier, ROOM).share < 0.002
+
+
 def test_what_is_outside_the_room_or_at_its_walls_does_not_count():
     points, pose = scan(FIRST)
     small = RoomShape(ROOM.contour * 0.5, 0.0, 3.0, ROOM.walls)

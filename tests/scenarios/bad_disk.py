@@ -90,9 +90,10 @@ class BadDisk:
 
     def _call(self, name: str, real: Callable[..., Any], target: Any, *rest: Any, **options: Any) -> Any:
         self.asked(name, self._path(target))
-        result = real(target, *rest, **options)
-        self.done()
-        return result
+        try:
+            return real(target, *rest, **options)
+        finally:  # a folder that is there already, a file that is not, are refused by a good disk too
+            self.done()
 
     def _open(self, real: Callable[..., int], path: Any, flags: int, *rest: Any, **options: Any) -> int:
         writes = bool(flags & (os.O_WRONLY | os.O_RDWR))

@@ -26,6 +26,10 @@ class AgentClient:
         self._patience = patience or Patience()
         self._sockets = sockets or Sockets()
         self._mission = mission
+        self._begin()
+
+    def _begin(self) -> None:
+        """What a client does besides, as soon as it knows whom it asks."""
 
     def _control(self, progress: Progress, patience: Patience | None = None) -> Link:
         return Link(self._sockets, self._endpoints.control, patience or self._patience, progress)

@@ -19,13 +19,10 @@ from drivers.messages import (
     Stop,
 )
 from drivers.wire.agent_client import AgentClient
-from drivers.wire.client import Patience
 from drivers.wire.codec import encode
-from drivers.wire.endpoints import Endpoints
 from drivers.wire.introduction import introduced
 from drivers.wire.naming import full_name
 from drivers.wire.remote_drive import RemoteDrive
-from drivers.wire.sockets import Sockets
 from drivers.wire.telemetry import Listener
 from perception.failure import FailureError
 
@@ -36,15 +33,8 @@ class BaseClient(AgentClient):
     The beats have a socket of their own, which belongs to the one thread that calls :meth:`beat` and :meth:`close`.
     """
 
-    def __init__(
-        self,
-        endpoints: Endpoints,
-        patience: Patience | None = None,
-        sockets: Sockets | None = None,
-        mission: str = "",
-    ) -> None:
-        super().__init__(endpoints, patience, sockets, mission)
-        self._listener = Listener(self._sockets.subscriber(endpoints.telemetry))
+    def _begin(self) -> None:
+        self._listener = Listener(self._sockets.subscriber(self._endpoints.telemetry))
         self._lease: Lease | None = None
         self._beats: zmq.Socket | None = None
 

@@ -41,7 +41,7 @@ class LeaseKeeper:
         self._heard = NEVER
         self._tick = -1
         self._moves_until = NEVER
-        self._nonces: deque[tuple[int, float]] = deque()
+        self._nonces: deque[tuple[int, float]] = deque()  # each with the instant until which it counts
         self._lock = threading.RLock()
 
     @property
@@ -60,9 +60,9 @@ class LeaseKeeper:
         """A fresh nonce, to be published now."""
         with self._lock:
             now = self._clock()
-            while self._nonces and now - self._nonces[0][1] >= LIMIT_S:
+            while self._nonces and now >= self._nonces[0][1]:
                 self._nonces.popleft()
-            self._nonces.append((secrets.randbits(63), now))
+            self._nonces.append((secrets.randbits(63), now + LIMIT_S))
             return self._nonces[-1][0]
 
     def acquire(self, owner: str) -> Lease:
@@ -114,7 +114,7 @@ class LeaseKeeper:
 
     def is_fresh(self, nonce: int) -> bool:
         """Whether a nonce is so young that an order which echoes it was given just now."""
-        return self._issued(nonce) is not None
+        return self._counts_until(nonce) is not None
 
     def beat(self, number: tuple[int, int], nonce: int, tick: int, may_move: bool) -> bool:
         """Hear the owner; whether that counts. What is late, repeated or overtaken does not.
@@ -124,18 +124,18 @@ class LeaseKeeper:
         """
         with self._lock:
             self.require(number)
-            issued = self._issued(nonce)
-            if issued is None or tick <= self._tick:
+            until = self._counts_until(nonce)
+            if until is None or tick <= self._tick:
                 return False
             self._tick, self._heard = tick, self._clock()
-            self._moves_until = issued + LIMIT_S if may_move else NEVER
+            self._moves_until = until if may_move else NEVER
             return True
 
-    def _issued(self, nonce: int) -> float | None:
-        """When a nonce was published; None once it is too old, and for one that never was."""
+    def _counts_until(self, nonce: int) -> float | None:
+        """The instant at which a nonce is too old; None once it is, and for one that never was published."""
         with self._lock:
             now = self._clock()
-            return next((at for known, at in self._nonces if known == nonce and now - at < LIMIT_S), None)
+            return next((until for known, until in self._nonces if known == nonce and now < until), None)
 
     def _silence(self) -> float:
         return self._clock() - self._heard

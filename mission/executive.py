@@ -72,8 +72,8 @@ class Executive:
         self._after_tick = after_tick
         self._pause = State(Phase.PAUSED, message=way_on)
         self._recall = recall
-        self._paths = dict(_named_paths(root))
-        self._shown: dict[Behaviour, Status] = {}
+        self._paths = list(_named_paths(root))
+        self._shown = [Status.INVALID] * len(self._paths)
         self.durations = array("d")
         """Seconds of the wall that each tick took, all that is called from it included."""
         self._worked = array("d")
@@ -166,9 +166,9 @@ class Executive:
 
     def _record_transitions(self) -> None:
         """One event for each node whose status is another than after the tick before."""
-        for node, path in self._paths.items():
-            before = self._shown.get(node, Status.INVALID)
-            if node.status != before:
+        for place, (node, path) in enumerate(self._paths):
+            before = self._shown[place]
+            if node.status is not before:
                 self._services.journal.record(
                     "node",
                     node=node.name,
@@ -177,7 +177,7 @@ class Executive:
                     after=node.status.value,
                     feedback=node.feedback_message,
                 )
-                self._shown[node] = node.status
+                self._shown[place] = node.status
 
     def _come_to_rest(self) -> None:
         """Stop every node and the base, whichever of them, or the journal, is what failed."""

@@ -1,5 +1,6 @@
 """What every test starts from."""
 
+import gc
 from collections.abc import Iterator
 
 import hypothesis
@@ -9,6 +10,12 @@ from py_trees.blackboard import Blackboard
 # A busy machine is no failure: what takes long is measured in benchmarks.
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
+
+
+def pytest_collection_finish() -> None:
+    """What the imports made stays to the end: looking through all of it again and again would take a minute."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

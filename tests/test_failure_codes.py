@@ -56,13 +56,18 @@ def modules() -> list[ast.Module]:
     return [ast.parse(path.read_text(encoding="utf-8")) for path in paths]
 
 
+@cache
+def parts_of(tree: ast.AST) -> list[ast.AST]:
+    return list(ast.walk(tree))
+
+
 def name_of(call: ast.Call) -> str:
     return getattr(call.func, "id", None) or getattr(call.func, "attr", "")
 
 
 def codes_given(tree: ast.AST, makers: frozenset[str]) -> Iterator[ast.expr]:
     """What stands where a failure, or whatever makes one, takes its code."""
-    for node in ast.walk(tree):
+    for node in parts_of(tree):
         if isinstance(node, ast.Call) and node.args and name_of(node) in makers:
             yield node.args[0]
         elif isinstance(node, ast.Dict):  # a row of the journal that tells a failure without making one
@@ -83,7 +88,7 @@ def passes_on(function: Function, makers: frozenset[str]) -> bool:
 def makers_in(tree: ast.Module, elsewhere: frozenset[str]) -> frozenset[str]:
     """The names by which a module may make a failure, its own functions that pass a code on among them."""
     makers = elsewhere
-    functions = [node for node in ast.walk(tree) if isinstance(node, Function)]
+    functions = [node for node in parts_of(tree) if isinstance(node, Function)]
     while more := {one.name for one in functions if passes_on(one, makers)} - makers:
         makers |= more
     return makers
@@ -104,7 +109,7 @@ def constants(node: ast.expr) -> Iterator[str]:
 
 
 def assigned(tree: ast.AST) -> Iterator[tuple[str, ast.expr]]:
-    for node in ast.walk(tree):
+    for node in parts_of(tree):
         if isinstance(node, ast.Assign):
             yield from ((target.id, node.value) for target in node.targets if isinstance(target, ast.Name))
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.value:
@@ -123,7 +128,7 @@ def codes() -> frozenset[str]:
         found.update(code for node in given for code in constants(node))
         found.update(code for name, value in assigned(tree) if name in names for code in constants(value))
     for tree in modules():
-        for node in ast.walk(tree):
+        for node in parts_of(tree):
             if isinstance(node, ast.ClassDef):
                 body = (part for line in node.body for part in assigned(line) if not isinstance(line, Function))
                 found.update(code for name, value in body if name in attributes for code in constants(value))

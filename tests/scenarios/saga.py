@@ -6,6 +6,8 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from py_trees.blackboard import Blackboard
+
 from behaviours.services import Services
 from behaviours.settings import Settings
 from mission.chronicle import Chronicle
@@ -103,7 +105,8 @@ class Saga:
     def _executive(
         self, ledger: MortalLedger, each_tick: Callable[[Word, int], None] | None
     ) -> Iterator[MortalExecutive]:
-        """As ``mission run`` builds it; a mission that is resumed waits for leave to go on."""
+        """As ``mission run`` builds it, in a process of its own; a mission that is resumed waits for leave to go on."""
+        Blackboard.clear()
         with ExitStack() as stack:
             stack.enter_context(closing(ledger))
             clock = MissionClock(source=self.script.clock.now, wait=self._wait, begin=ledger.newest_time())

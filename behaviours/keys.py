@@ -1,6 +1,10 @@
 """Every blackboard key, in one place. The blackboard carries ids, poses and figures, never a cloud."""
 
 from enum import StrEnum
+from functools import cache
+
+from py_trees.blackboard import Client
+from py_trees.common import Access
 
 
 class Key(StrEnum):
@@ -34,3 +38,17 @@ class Key(StrEnum):
     """:class:`perception.findings.ViewChoice` | None, the newest choice of views."""
     AVOID = "avoid"
     """tuple of :class:`behaviours.survey.Avoided`, views given up for a while."""
+
+
+@cache
+def access_to(who: str, reads: tuple[Key, ...] = (), writes: tuple[Key, ...] = ()) -> Client:
+    """The blackboard as all nodes of a class may use it; each may write what failed.
+
+    One client for all of them: what is declared is the class's, and clients are most of what a tree costs to make.
+    """
+    client = Client(name=who)
+    for key in reads:
+        client.register_key(key, Access.READ)
+    for key in (*writes, Key.FAILURE):
+        client.register_key(key, Access.WRITE)
+    return client

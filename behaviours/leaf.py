@@ -4,9 +4,9 @@ import logging
 from typing import Any, ClassVar
 
 import py_trees
-from py_trees.common import Access, Status
+from py_trees.common import Status
 
-from behaviours.keys import Key
+from behaviours.keys import Key, access_to
 from behaviours.services import Services, connect
 from perception.failure import Failure, FailureError
 
@@ -25,11 +25,7 @@ class Leaf(py_trees.behaviour.Behaviour):
         super().__init__(name)
         self.logger = logging.getLogger(f"mission.tree.{name}")  # type: ignore[assignment]
         self.services: Services
-        self._keys = self.attach_blackboard_client(name=name)
-        for key in self.reads:
-            self._keys.register_key(key, Access.READ)
-        for key in {*self.writes, Key.FAILURE}:
-            self._keys.register_key(key, Access.WRITE)
+        self._keys = access_to(type(self).__name__, self.reads, self.writes)
 
     def setup(self, **kwargs: object) -> None:
         self.services = connect(kwargs)

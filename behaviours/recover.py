@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 import py_trees
-from py_trees.common import Access, Status
+from py_trees.common import Status
 
-from behaviours.keys import Key
+from behaviours.keys import Key, access_to
 
 
 class Recover(py_trees.composites.Composite):
@@ -33,8 +33,7 @@ class Recover(py_trees.composites.Composite):
         self.recovery = recovery
         self.attempts = attempts
         self._attempt = 1
-        self._keys = self.attach_blackboard_client(name=name)
-        self._keys.register_key(Key.FAILURE, Access.WRITE)
+        self._keys = access_to(type(self).__name__)
         self._cause: object = None
 
     def tick(self) -> Iterator[py_trees.behaviour.Behaviour]:

@@ -13,9 +13,10 @@ hypothesis.settings.load_profile("any machine")
 
 
 def pytest_collection_finish() -> None:
-    """What the imports made stays to the end: looking through all of it again and again would take a minute."""
+    """What the imports made stays to the end: looking through all of it again and again would take minutes."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000)
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from behaviours import asking, driving, safety, scanning
 from behaviours.conditions import Condition
 from behaviours.freeze import Freeze
 from behaviours.job import JobLeaf
-from behaviours.keys import Key
+from behaviours.keys import Key, access_to
 from behaviours.leaf import Leaf
 from behaviours.recover import Recover
 from behaviours.scanning import StageLeaf
@@ -103,6 +103,7 @@ def test_every_key_that_is_read_is_written_somewhere() -> None:
 
 def test_no_key_has_an_exclusive_writer() -> None:
     """Such a leaf could not stand in two trees, nor twice in one."""
+    access_to.cache_clear()  # what was declared before this test is not on its blackboard
     building.create_root()
     assert {key for key in Key if Blackboard.metadata[f"/{key}"].exclusive} == set()
 

@@ -60,7 +60,8 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
     """
     newest: dict[str, Any] = {}
     began, started = time.monotonic(), _utc()
-    with ExitStack() as stack:
+    # Signals are given back last: how the mission ended stands by then, and there is nothing left to abort.
+    with ExitStack() as at_the_end, ExitStack() as stack:
         ledger = stack.enter_context(closing(Ledger(folder.ledger)))
         write_text(folder.config, dump_config(config))
         clock = MissionClock(config.clock_rate, begin=ledger.newest_time())
@@ -84,7 +85,7 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
         worker = PerceptionWorker(folder.path, journal, config.settings.worker)
         stack.callback(worker.close)
         worker.submit("warm_up")
-        stack.enter_context(signals(word))
+        at_the_end.enter_context(signals(word))
         services = Services(scanner, base, worker, clock, journal, folder, config.settings, desk, owner=lease.owner)
         services = remembering(services, chronicle)
         bulletin = Bulletin(folder, console, desk, newest, clock.now, display)

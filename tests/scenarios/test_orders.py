@@ -1,9 +1,12 @@
 """An operator at the control socket of a mission that runs: each word is acknowledged at once, and obeyed at a tick."""
 
+import signal
 import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+
+import pytest
 
 from mission.control import Pause, Resume, is_live
 from mission.run import Summary
@@ -61,3 +64,18 @@ def test_a_mission_under_way_acknowledges_in_200_ms_and_obeys_at_its_next_tick(t
     assert len(operator.waits) >= 2 * AT_LEAST
     assert max(wait.own for wait in operator.waits) < ACK_S
     assert operator.disobeyed == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_between_the_end_and_the_deliveries_aborts_nothing(tmp_path: Path, number: signal.Signals) -> None:
+    kept = Kept(tmp_path)
+    kept.perception.close = lambda: signal.raise_signal(number)  # type: ignore[method-assign]
+    before = signal.signal(number, signal.default_int_handler)
+    try:
+        summary = kept.fly()
+        assert isinstance(summary, Summary)
+        assert summary.outcome == "complete"
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)  # whoever handled it before does so again
+    finally:
+        signal.signal(number, before)

@@ -1,11 +1,13 @@
 """The simulated world as values: a triangle mesh to scan and to collide with, and the truth for the evaluation."""
 
 import json
+import zlib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,8 +156,11 @@ def read_world(path: Path) -> World:
         with np.load(path, allow_pickle=False) as file:
             described = json.loads(file["described"].tobytes())
             arrays = {name: file[name] for name in ("vertices", "triangles", "surface")}
-    except (OSError, ValueError, KeyError) as error:
-        raise FailureError("WORLD_UNREADABLE", f"{path} holds no world: {error}", path=str(path)) from error
+    except OSError as error:
+        raise FailureError("WORLD_UNREADABLE", f"cannot read {path}: {error}", path=str(path)) from error
+    except (ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
+        expected = "expected a saved world, as a simulated mission leaves it in its simulation/world.npz"
+        raise FailureError("WORLD_UNREADABLE", f"{path}: {expected}, found none", path=str(path)) from error
     x, y, yaw = described["start"]
     return World(described["name"], **arrays, start=(x, y, yaw), truth=_truth(described["truth"]))
 

@@ -7,7 +7,7 @@ import typer
 
 from mission.commands.common import Keys, refusals
 
-World = Annotated[Path, typer.Option(help="World file of the simulation.")]
+World = Annotated[Path, typer.Option(help="Saved world (.npz): a simulated mission leaves its own in RUN/simulation.")]
 Truth = Annotated[Path, typer.Option(help="Folder for the truth log.")]
 Serves = Annotated[
     Path | None,

@@ -117,6 +117,25 @@ def test_a_file_that_is_no_world_is_refused(tmp_path: Path) -> None:
     assert code_of(read_world, tmp_path / "world.npz") == "WORLD_UNREADABLE"
 
 
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_a_world_that_was_cut_short_is_refused(school: World, tmp_path: Path, kept: float) -> None:
+    save_world(school, tmp_path / "world.npz")
+    content = (tmp_path / "world.npz").read_bytes()
+    (tmp_path / "world.npz").write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(FailureError, match="expected a saved world, as a simulated mission leaves it"):
+        read_world(tmp_path / "world.npz")
+
+
+def test_a_world_with_bytes_that_changed_is_refused(school: World, tmp_path: Path) -> None:
+    save_world(school, tmp_path / "world.npz")
+    content = bytearray((tmp_path / "world.npz").read_bytes())
+    for place in range(100, len(content), len(content) // 20):
+        damaged = bytearray(content)
+        damaged[place : place + 40] = bytes(byte ^ 0xFF for byte in content[place : place + 40])
+        (tmp_path / "world.npz").write_bytes(damaged)
+        assert code_of(read_world, tmp_path / "world.npz") == "WORLD_UNREADABLE", place
+
+
 def test_the_seed_moves_the_furniture_and_nothing_else() -> None:
     plan = Plan.model_validate(SMALL)
     first, again, other = build_plan(plan, 1), build_plan(plan, 1), build_plan(plan, 2)

@@ -19,6 +19,7 @@ from behaviours.mapping import (
     RegisterGlobally,
     RegisterScan,
     SegmentRoom,
+    SetScanAside,
 )
 from behaviours.movement import LetThemPass, LookForMovement
 from behaviours.recover import Recover
@@ -64,7 +65,8 @@ def undisturbed_scan(settings: Settings) -> Behaviour:
                     "when they have gone",
                     FailureIs("anybody in it?", "DYN_POINTS"),
                     LetThemPass("let them pass"),
-                    registered_scan(settings),
+                    scan_here(settings),
+                    first_that_works("place it", place(), SetScanAside("set it aside")),
                     LookForMovement("look again"),
                 ),
             ),

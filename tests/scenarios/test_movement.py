@@ -56,3 +56,12 @@ def test_a_scan_more_that_fails_is_not_missed() -> None:
     play.script.fail("take", "SCAN_FAILED", range(3, 7))
     assert play.run() == "complete"
     assert "SCAN_FAILED" in play.events.codes
+
+
+def test_a_scan_more_that_finds_no_place_is_tried_again_and_moves_nobody() -> None:
+    whole, play = Play(row(2)), crowded(range(1, 2))
+    play.script.fail("register_scan", "REG_DEGENERATE", range(2, 3)).fail("register_globally", "REG_DEGENERATE")
+    assert whole.run() == play.run() == "complete"
+    assert len(play.survey.scans) == play.calls["take"] == whole.calls["take"] + 1
+    assert play.survey.set_aside == ()
+    assert play.calls["drive"] == whole.calls["drive"], "no drive half-way back: the scan before it has its place there"

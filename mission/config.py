@@ -1,7 +1,6 @@
 """A site's configuration: YAML, checked whole, every error at once with its dotted key."""
 
 import difflib
-import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -11,13 +10,11 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from behaviours.settings import Settings
+from drivers.refusal import key_of, told
 from drivers.wire.endpoints import Endpoints, is_local
 from drivers.wire.keys import is_public_key
 
 _MAX_BYTES = 256 * 1024
-_shown = reprlib.Repr()
-_shown.maxstring = _shown.maxother = 200
-_shown.maxlevel = 2
 
 
 class ConfigError(Exception):
@@ -89,12 +86,7 @@ def parse_config(data: object, source: str, overrides: Iterable[str] = ()) -> Si
         config = SiteConfig.model_validate(data)
     except ValidationError as error:
         known_unknown = {key for key, _ in unknown}
-        broken = [(".".join(map(str, item["loc"])), item["msg"], item.get("input")) for item in error.errors()]
-        lines = [
-            f"{key}: {message}, found {_shown.repr(value)}"
-            for key, message, value in broken
-            if key not in known_unknown
-        ]
+        lines = [told(item) for item in error.errors() if key_of(item) not in known_unknown]
         raise ConfigError("\n".join(f"{source}: {line}" for line in [*lines, *_hints(unknown)])) from error
     if unknown:
         raise ConfigError("\n".join(f"{source}: {line}" for line in _hints(unknown)))

@@ -89,12 +89,36 @@ def test_overrides_come_on_top_and_are_yaml() -> None:
 @pytest.mark.parametrize("value", ["0", "-1"])
 def test_a_worker_must_be_allowed_some_memory(limit: str, value: str) -> None:
     (line,) = refusal(dict(WHOLE), (f"settings.worker.{limit}={value}",))
-    assert f"settings.worker.{limit}" in line and "greater than 0" in line
+    assert line == f"site.yaml: settings.worker.{limit}: expected more than 0, found {value}"
 
 
 def test_a_worker_is_not_killed_before_it_is_replaced() -> None:
     (line,) = refusal(dict(WHOLE), ("settings.worker.memory_high_gb=13",))
     assert line.startswith("site.yaml: settings.worker") and "must not be less than memory_high_gb" in line
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("clock_rate", "fast", "expected a number, found 'fast'"),
+        ("clock_rate", ".inf", "expected at most 1000, found inf"),
+        ("settings.scanning.step_deg", "-1", "expected at least 0.01, found -1"),
+        ("settings.scanning.attempts", "1.5", "expected a whole number, found 1.5"),
+        ("settings.battery.low", "2", "expected at most 1, found 2"),
+        ("settings.operator.ask", "maybe", "expected true or false, found 'maybe'"),
+        ("settings.room.labeller", "magic", "expected 'range' or 'paper', found 'magic'"),
+        ("settings.driving", "3", "expected a group of keys, found 3"),
+        ("base", "3", "expected a group of keys, found 3"),
+        ("base", "{}", "control: expected a value, found nothing"),
+        ("site", "3", "expected text, found 3"),
+        ("settings.building.fence", "[1, 2]", "expected a list, found 1"),
+    ],
+)
+def test_an_error_says_what_was_expected_and_what_was_found(key: str, value: str, expected: str) -> None:
+    assert any(
+        line.startswith(f"site.yaml: {key}") and line.endswith(expected)
+        for line in refusal(dict(WHOLE), (f"{key}={value}",))
+    )
 
 
 @pytest.mark.parametrize("override", ["settings.room.max_scans", "site.name=x"])

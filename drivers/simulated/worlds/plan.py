@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from drivers.refusal import told
 from perception.failure import FailureError
 
 Point = tuple[float, float]
@@ -153,5 +154,5 @@ def read_plan(path: Path) -> Plan:
     except yaml.YAMLError as error:
         raise FailureError("WORLD_PLAN_INVALID", f"{path.name} is not YAML: {error}", path=str(path)) from error
     except ValidationError as error:
-        errors = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+        errors = [told(item) for item in error.errors()]
         raise FailureError("WORLD_PLAN_INVALID", f"{path.name}: " + "; ".join(errors), errors=errors) from error

@@ -19,6 +19,11 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(20_000)
 
 
+def pytest_unconfigure() -> None:
+    """Whatever Open3D has made must be gone at the exit, or it makes an error of it."""
+    gc.unfreeze()
+
+
 @pytest.fixture(autouse=True)
 def clean_blackboard() -> Iterator[None]:
     """The blackboard is global to the process: no test sees what another one left on it."""

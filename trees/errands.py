@@ -24,6 +24,8 @@ from trees.locating import end_on_the_spot, located
 from trees.recovery import ANOTHER_SCAN_MAY_HELP
 
 _ATTEMPTS = 3
+_INTERRUPTIONS = 5
+"""A base that dies may cost two: the drive that it broke off, and the one ordered before its new process was ours."""
 
 
 def drive(name: str, settings: Settings) -> Behaviour:
@@ -40,7 +42,7 @@ def drive(name: str, settings: Settings) -> Behaviour:
             FailureIs("broken off from outside?", "ESTOP", "AGENT_UNREACHABLE", "LEASE_", "NAV_INTERRUPTED"),
             RenewGoal("name the goal anew"),
         ),
-        attempts=_ATTEMPTS,
+        attempts=1 + _INTERRUPTIONS,
     )
 
 

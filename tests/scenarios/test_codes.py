@@ -61,7 +61,7 @@ from tests.scenarios.site import row
         # To the view, and to the start at the end.
         ("CANCELLED", "drive", 2, False),
         # Each of these two is tried three times: whoever has the base may give it back.
-        ("LEASE_HELD", "drive", 6, False),
+        ("LEASE_HELD", "drive", 12, False),
     ],
 )
 def test_what_ends_a_room_is_the_reason_in_the_report(code: str, operation: str, tries: int, asked: bool) -> None:

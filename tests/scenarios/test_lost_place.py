@@ -115,6 +115,18 @@ def test_a_base_that_begins_anew_while_its_place_is_looked_for_is_looked_for_aga
     assert_all_scans_are_in_place(play)
 
 
+def test_a_base_that_dies_three_times_on_one_way_still_arrives() -> None:
+    """Each death costs a drive that it broke off, and another one ordered before its new process was the mission's."""
+    whole, play = Play(row(2)), Play(row(2))
+    assert whole.run() == "complete"
+    for call in range(1, 6):
+        play.script.fail("drive", "NAV_INTERRUPTED" if call % 2 else "LEASE_LOST", [call])
+    assert play.run() == "complete"
+    assert play.events.codes == ["NAV_INTERRUPTED", "LEASE_LOST"] * 2 + ["NAV_INTERRUPTED"]
+    assert len({(goal.x, goal.y) for goal in play.base.goals[:6]}) == 1
+    assert play.rooms == whole.rooms
+
+
 def lost(attended: bool, drive: int = 2) -> Play:
     """A base that begins anew in mid-drive, on its way to the door, and no scan finds its place after that."""
     play = Play(row(2), attended=attended)

@@ -51,8 +51,8 @@ def test_without_an_answer_nothing_moves_any_more(drive: int, last: str, unfinis
 
 
 def test_it_is_asked_each_time_and_gives_the_goal_up_when_it_always_touches() -> None:
-    play = touching(1, 2, 3)
+    play = touching(*range(1, 7))
     assert play.run() == "complete"
-    assert len(play.events.of("asked")) == 3
+    assert len(play.events.of("asked")) == 6
     views = [(goal.x, goal.y) for goal in play.base.goals]
-    assert len(set(views[:3])) == 1 and views[3] != views[0], "the view is left aside for another"
+    assert len(set(views[:6])) == 1 and views[6] != views[0], "the view is left aside for another"

@@ -60,7 +60,7 @@ from tests.scenarios.site import row
         ("NBV_SENSOR_OUTSIDE", "choose_view", 1, False),
         # To the view, and to the start at the end.
         ("CANCELLED", "drive", 2, False),
-        # Each of these two is tried three times: whoever has the base may give it back.
+        # Each of these two is tried six times: whoever has the base may give it back.
         ("LEASE_HELD", "drive", 12, False),
     ],
 )

@@ -1,6 +1,8 @@
 .PHONY: setup mission test lint campaign bench
 
 export OMP_NUM_THREADS ?= 2
+# Every mission starts five processes; without compiled modules each of them compiles them all.
+unexport PYTHONDONTWRITEBYTECODE
 
 setup:
 	@bash .ci/setup

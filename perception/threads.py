@@ -7,7 +7,7 @@ one thread of a process at a time, as the perception worker does.
 
 from numba import config
 
-config.THREADING_LAYER_PRIORITY = ["workqueue", "omp", "tbb"]  # type: ignore[attr-defined]
+config.THREADING_LAYER_PRIORITY = ["workqueue", "omp", "tbb"]
 
 SHARES = 2
 """Parts of a work that is cut by hand: the cores of the robot's computer."""

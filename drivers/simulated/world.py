@@ -156,13 +156,13 @@ def read_world(path: Path) -> World:
         with np.load(path, allow_pickle=False) as file:
             described = json.loads(file["described"].tobytes())
             arrays = {name: file[name] for name in ("vertices", "triangles", "surface")}
+        x, y, yaw = described["start"]
+        return World(described["name"], **arrays, start=(x, y, yaw), truth=_truth(described["truth"]))
     except OSError as error:
         raise FailureError("WORLD_UNREADABLE", f"cannot read {path}: {error}", path=str(path)) from error
     except (ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
         expected = "expected a saved world, as a simulated mission leaves it in its simulation/world.npz"
         raise FailureError("WORLD_UNREADABLE", f"{path}: {expected}, found none", path=str(path)) from error
-    x, y, yaw = described["start"]
-    return World(described["name"], **arrays, start=(x, y, yaw), truth=_truth(described["truth"]))
 
 
 def _truth(described: dict[str, Any]) -> Truth:

@@ -29,7 +29,7 @@ def test_rows_follow_the_tree_and_know_their_parents() -> None:
 def test_the_picture_has_a_row_for_each_node_and_every_symbol_its_glyph(tmp_path: Path) -> None:
     small, whole = tmp_path / "small.png", tmp_path / "whole.png"
     drawing.draw(Sequence("alone", memory=True), small)
-    root = create_root()
+    root = drawing.folded(create_root())
     drawing.draw(root, whole)
     heights = [cv2.imread(str(path)).shape[0] for path in (small, whole)]
     rows = len(list(root.iterate())) - 1
@@ -38,7 +38,7 @@ def test_the_picture_has_a_row_for_each_node_and_every_symbol_its_glyph(tmp_path
 
 def test_the_drawing_can_be_searched_for_its_names(tmp_path: Path) -> None:
     path = tmp_path / "tree.svg"
-    drawing.draw(create_root(), path)
+    drawing.draw(drawing.folded(create_root()), path)
     assert "take the scan" in path.read_text()
 
 

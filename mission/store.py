@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from drivers import disk
 from drivers.disk import writing
 from drivers.wire.spool import sync_folder
 from mission.journal import plain
@@ -191,9 +192,11 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of an ``.npz`` that this project wrote; nothing in it is ever executed."""
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    """Arrays of an ``.npz`` of a run. Raises ``RUN_LOSSY``, naming the file, if it is missing or damaged."""
+    try:
+        return disk.read_arrays(path)
+    except (OSError, ValueError) as error:
+        raise FailureError("RUN_LOSSY", f"{path} cannot be read: {error}", file=str(path)) from error
 
 
 def save_grid(path: Path, grid: Grid) -> None:

@@ -1,17 +1,16 @@
 """The simulated world as values: a triangle mesh to scan and to collide with, and the truth for the evaluation."""
 
 import json
-import zlib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.disk import read_arrays
 from perception.failure import FailureError
 
 
@@ -153,14 +152,14 @@ def save_world(world: World, path: Path) -> None:
 def read_world(path: Path) -> World:
     """Read what :func:`save_world` wrote; raises ``WORLD_UNREADABLE``."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            described = json.loads(file["described"].tobytes())
-            arrays = {name: file[name] for name in ("vertices", "triangles", "surface")}
+        saved = read_arrays(path)
+        described = json.loads(saved["described"].tobytes())
+        arrays = {name: saved[name] for name in ("vertices", "triangles", "surface")}
         x, y, yaw = described["start"]
         return World(described["name"], **arrays, start=(x, y, yaw), truth=_truth(described["truth"]))
     except OSError as error:
         raise FailureError("WORLD_UNREADABLE", f"cannot read {path}: {error}", path=str(path)) from error
-    except (ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
+    except (ValueError, KeyError, TypeError) as error:
         expected = "expected a saved world, as a simulated mission leaves it in its simulation/world.npz"
         raise FailureError("WORLD_UNREADABLE", f"{path}: {expected}, found none", path=str(path)) from error
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import yaml
@@ -80,7 +79,7 @@ class Run:
         found = []
         for path in sorted(self.folder.glob(pattern), key=_natural):
             # A run that was killed may leave a file cut short.
-            with contextlib.suppress(OSError, ValueError, BadZipFile):
+            with contextlib.suppress(FailureError):
                 found.append((path, read_arrays(path)))
         return found
 

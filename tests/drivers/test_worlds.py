@@ -115,6 +115,9 @@ def test_a_world_survives_its_file(school: World, tmp_path: Path) -> None:
 def test_a_file_that_is_no_world_is_refused(tmp_path: Path) -> None:
     (tmp_path / "world.npz").write_bytes(b"nothing of the kind")
     assert code_of(read_world, tmp_path / "world.npz") == "WORLD_UNREADABLE"
+    listed = np.frombuffer(b"[1, 2]", np.uint8)
+    np.savez(tmp_path / "world.npz", described=listed, vertices=[0.0], triangles=[0], surface=[0])
+    assert code_of(read_world, tmp_path / "world.npz") == "WORLD_UNREADABLE"
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])

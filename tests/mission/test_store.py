@@ -116,8 +116,30 @@ def test_two_processes_that_write_the_same_file_do_not_mix_what_they_write(
 def test_arrays_that_would_execute_something_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "evil.npz"
     np.savez(path, a=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(ValueError, match="pickle"):
+    with pytest.raises(FailureError, match=r"RUN_LOSSY.*evil\.npz.*pickle"):
         store.read_arrays(path)
+
+
+def test_arrays_whose_file_is_damaged_or_missing_are_refused_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    store.write_arrays(path, labels=np.arange(2000), origin=[1.0, 2.0])
+    whole = path.read_bytes()
+    kept = store.read_arrays(path)
+    refused = 0
+    for place in range(len(whole)):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        try:
+            found = store.read_arrays(path)
+        except FailureError as error:
+            assert str(error).startswith("RUN_LOSSY") and str(path) in str(error)
+            refused += 1
+        else:  # a time stamp, or the like, of which the arrays are not made
+            assert all(np.array_equal(found[name], kept[name]) for name in kept.keys() & found.keys()), place
+    assert refused > 0.8 * len(whole)
+    np.save(path.with_suffix(".npy"), np.arange(3))
+    for missing in (tmp_path / "none.npz", path.with_suffix(".npy")):
+        with pytest.raises(FailureError, match=f"RUN_LOSSY.*{missing.name}"):
+            store.read_arrays(missing)
 
 
 @given(

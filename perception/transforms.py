@@ -66,19 +66,42 @@ def difference(a: Matrix, b: Matrix) -> tuple[float, float]:
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), rotation_angle(inverse(a) @ b)
 
 
-def to_quaternion(matrix: Matrix) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w) of the rotation."""
-    from scipy.spatial.transform import Rotation
+# scipy has both as well, but the process that ticks would load half of scipy for nothing else.
 
-    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+
+def to_quaternion(matrix: Matrix) -> tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w) of the rotation; of the two, the one whose largest component is positive."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix[:3, :3]
+    products = np.array(
+        [
+            [1 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
+            [xz + zx, yz + zy, 1 - xx - yy + zz, yx - xy],
+            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
+        ]
+    )
+    # Each row is the quaternion times four times one of its components: the largest of these loses no digits.
+    row = products[np.argmax(np.diagonal(products))]
+    x, y, z, w = row / np.linalg.norm(row)
     return float(x), float(y), float(z), float(w)
 
 
 def from_quaternion(quaternion: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Matrix:
-    """Transform from a quaternion (x, y, z, w), normalised here, and a translation in metres."""
-    from scipy.spatial.transform import Rotation
+    """Transform from a quaternion (x, y, z, w), normalised here, and a translation in metres.
 
+    Raises:
+        ValueError: the quaternion is zero, or no number.
+    """
+    given = np.asarray(quaternion, float)
+    norm = np.linalg.norm(given)
+    if not norm > 0.0:
+        raise ValueError(f"expected a quaternion of some length, found {given.tolist()}")
+    x, y, z, w = given / norm
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(np.asarray(quaternion, float)).as_matrix()
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
     matrix[:3, 3] = translation
     return matrix

@@ -14,9 +14,10 @@ from drivers.simulated.clock import Clock
 from drivers.simulated.drive import Drive
 from drivers.simulated.lidar import Lidar, Sweep
 from drivers.simulated.localiser import Localiser
-from drivers.simulated.plant import Plant, Stance
+from drivers.simulated.plant import Plant
 from drivers.simulated.profile import BaseProfile
 from drivers.simulated.scenario import Scenario
+from drivers.simulated.stance import Stance
 from drivers.simulated.surroundings import Surroundings
 from drivers.simulated.truth_log import TruthLog
 from drivers.simulated.whereabouts import Whereabouts

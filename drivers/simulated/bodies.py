@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-import open3d as o3d
 import shapely
 from shapely import affinity
 
@@ -22,18 +21,6 @@ class Body:
     width: float = 0.5
     height: float = 1.75
     round: bool = True
-
-    def mesh(self) -> o3d.geometry.TriangleMesh:
-        """Its surface in the world's frame."""
-        if self.round:
-            mesh = o3d.geometry.TriangleMesh.create_cylinder(self.width / 2, self.height, resolution=24, split=1)
-            mesh.translate((0.0, 0.0, self.height / 2))
-        else:
-            mesh = o3d.geometry.TriangleMesh.create_box(self.length, self.width, self.height)
-            mesh.translate((-self.length / 2, -self.width / 2, 0.0))
-        mesh.rotate(o3d.geometry.get_rotation_matrix_from_xyz((0.0, 0.0, self.yaw)), center=(0.0, 0.0, 0.0))
-        mesh.translate((self.x, self.y, 0.0))
-        return mesh
 
     def outline(self) -> shapely.Polygon:
         """What it covers of the floor."""

@@ -1,7 +1,6 @@
 """The true state of the robot in its world: what really moves, touches and leans. No software of the robot sees it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,30 +8,13 @@ from drivers.simulated.bodies import Body, Track, standing
 from drivers.simulated.obstruction import Obstruction
 from drivers.simulated.odometry import Odometry
 from drivers.simulated.profile import BaseProfile
+from drivers.simulated.stance import Stance
 from drivers.simulated.world import World
 from perception import transforms
-from perception.transforms import Matrix
 
 _AT_REST = 0.005
 _BRAKE_BELOW = 0.03
 _SPIN_LENGTH = 0.5
-
-
-@dataclass(frozen=True)
-class Stance:
-    """The truth about where the robot stands: 4x4 on the floor of the world, its lean, and who is around.
-
-    Args:
-        map_from_base: 4x4 pose in the frame of the world (the evaluation aligns the mission's map with it).
-        tilt: roll and pitch, radians.
-        bodies: people and carts.
-        moving: whether the wheels turn.
-    """
-
-    map_from_base: Matrix
-    tilt: tuple[float, float]
-    bodies: tuple[Body, ...]
-    moving: bool
 
 
 class WheelLoop:

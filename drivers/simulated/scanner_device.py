@@ -11,9 +11,9 @@ from drivers.interfaces import ScannerInfo, ScanSettings, SelfTest
 from drivers.jobs import Done, Failed, Outcome, Running
 from drivers.messages import PROTOCOL
 from drivers.simulated.clock import Clock
-from drivers.simulated.plant import Stance
 from drivers.simulated.scanner import SimulatedScanner
 from drivers.simulated.scenario import ScannerFaults
+from drivers.simulated.stance import Stance
 from drivers.simulated.truth_log import TruthLog
 from perception import transforms
 from perception.failure import Failure, FailureError

@@ -13,7 +13,7 @@ import msgspec
 import zmq
 
 from drivers.simulated.bodies import Body
-from drivers.simulated.plant import Stance
+from drivers.simulated.stance import Stance
 from drivers.wire.attended import AttendedSocket
 from drivers.wire.sockets import Sockets
 from perception import transforms

@@ -67,5 +67,18 @@ def _scene_of(bodies: Iterable[Body]) -> o3d.t.geometry.RaycastingScene | None:
     scene = None
     for body in bodies:
         scene = scene or o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(body.mesh()))
+        scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(_mesh(body)))
     return scene
+
+
+def _mesh(body: Body) -> o3d.geometry.TriangleMesh:
+    """Its surface in the world's frame."""
+    if body.round:
+        mesh = o3d.geometry.TriangleMesh.create_cylinder(body.width / 2, body.height, resolution=24, split=1)
+        mesh.translate((0.0, 0.0, body.height / 2))
+    else:
+        mesh = o3d.geometry.TriangleMesh.create_box(body.length, body.width, body.height)
+        mesh.translate((-body.length / 2, -body.width / 2, 0.0))
+    mesh.rotate(o3d.geometry.get_rotation_matrix_from_xyz((0.0, 0.0, body.yaw)), center=(0.0, 0.0, 0.0))
+    mesh.translate((body.x, body.y, 0.0))
+    return mesh

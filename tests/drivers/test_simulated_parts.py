@@ -13,11 +13,12 @@ from drivers.simulated.localiser import Localiser
 from drivers.simulated.obstruction import Obstruction
 from drivers.simulated.odometry import Odometry
 from drivers.simulated.planner import Planner
-from drivers.simulated.plant import Stance, Tilt, WheelLoop
+from drivers.simulated.plant import Tilt, WheelLoop
 from drivers.simulated.profile import BaseProfile, GuardProfile, LidarProfile, OdometryProfile
 from drivers.simulated.safety import SafetyMonitor
 from drivers.simulated.scenario import load_scenario
 from drivers.simulated.side_channel import StanceServer, ask_stance
+from drivers.simulated.stance import Stance
 from drivers.simulated.surroundings import Surroundings
 from drivers.simulated.world import Surface
 from perception import transforms

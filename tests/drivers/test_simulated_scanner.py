@@ -8,11 +8,11 @@ from drivers.jobs import Done, Failed, Running
 from drivers.simulated.agents import run_scanner_agent
 from drivers.simulated.bodies import Body
 from drivers.simulated.clock import VirtualClock
-from drivers.simulated.plant import Stance
 from drivers.simulated.profile import SCANNERS, ScannerProfile
 from drivers.simulated.scanner import SimulatedScanner
 from drivers.simulated.scanner_device import SimulatedScannerDevice
 from drivers.simulated.scenario import ScannerFaults
+from drivers.simulated.stance import Stance
 from drivers.simulated.truth_log import TruthLog, read_truth
 from drivers.simulated.world import Surface
 from drivers.wire.endpoints import Endpoints

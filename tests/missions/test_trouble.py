@@ -47,6 +47,7 @@ def test_an_operator_who_interrupts_gets_a_mission_that_was_ended_properly(tmp_p
     wait_until(lambda: is_running(tmp_path / "runs", "take the scan"), process)
     process.send_signal(signal.SIGINT)
     wait_until(lambda: is_running(tmp_path / "runs", "pause ordered?"), process)
+    assert_nothing_heavy_ticks(process.pid)
     process.send_signal(signal.SIGINT)
     flight = landed(process, tmp_path)
     assert flight.code == 4, flight.stderr
@@ -57,6 +58,13 @@ def test_an_operator_who_interrupts_gets_a_mission_that_was_ended_properly(tmp_p
     assert (flight.folder / "report.html").is_file()
     config = load_config(flight.folder / "config.yaml")
     assert not any(map(is_listening, (config.scanner.control, config.base.control)))
+
+
+def assert_nothing_heavy_ticks(pid: int) -> None:
+    """What the process has mapped of libraries that take seconds to load or hold the interpreter while they work."""
+    mapped = Path(f"/proc/{pid}/maps").read_text()
+    assert "/numpy/" in mapped
+    assert [name for name in ("open3d", "llvmlite", "cv2", "scipy", "matplotlib") if f"/{name}" in mapped] == []
 
 
 def test_an_operator_who_interrupts_before_anything_moved_is_obeyed_too(tmp_path: Path) -> None:

@@ -80,12 +80,13 @@ class ScanHasGuess(Condition):
 
 
 class ScanIsSetAside(Condition):
-    """Whether a scan waits for a place."""
+    """Whether a scan waits for a place that more is known for since: not the newest one, just refused."""
 
-    reads = (Key.SURVEY,)
+    reads = (Key.SURVEY, Key.SCAN)
 
     def holds(self) -> bool:
-        return bool(self.read(Key.SURVEY).set_aside)
+        waiting = self.read(Key.SURVEY).set_aside
+        return bool(waiting) and waiting[0].scan_id != self.read(Key.SCAN).scan_id
 
 
 class RoomIsNew(Condition):

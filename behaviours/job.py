@@ -14,10 +14,10 @@ class JobLeaf(Leaf):
     """Starts a job, polls it, and cancels it when it is interrupted or its deadline passes.
 
     A concrete leaf implements :meth:`start` and :meth:`finish`; ``timeout`` gives the deadline in mission seconds,
-    None for a job that has a deadline of its own.
+    None for a job that has a deadline of its own. Who gives one names ``timeout_code`` too.
     """
 
-    timeout_code: ClassVar[str] = "TIMEOUT"
+    timeout_code: ClassVar[str]
 
     def start(self) -> Job[Any]:
         raise NotImplementedError(type(self).__name__)
@@ -31,8 +31,9 @@ class JobLeaf(Leaf):
 
     def begin(self) -> None:
         self._job: Job[Any] | None = None
-        self._began = self.services.clock.now()
         self._job = self.start()
+        # Not before: when a mission is resumed its jobs are told from the instant at which each was written down.
+        self._began = self.services.clock.now()
 
     def step(self) -> Status:
         assert self._job is not None
@@ -54,6 +55,10 @@ class JobLeaf(Leaf):
         share = "" if outcome.fraction is None else f"{100 * outcome.fraction:.0f} % "
         self.say(f"{share}{outcome.note}".strip())
         return Status.RUNNING
+
+    def bear(self, seconds: float) -> None:
+        """Leave so many seconds, in which nothing was let happen, out of the deadline."""
+        self._began += seconds
 
     def failed(self, failure: Failure) -> Status:
         """The job failed; a concrete leaf may keep what its evidence holds."""

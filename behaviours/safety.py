@@ -195,22 +195,27 @@ class HoldForRogueBase(Hold):
     """The base moves though no drive is under way: it is pushed, or obeys somebody else. It is told to stand still."""
 
     code = "BASE_ROGUE"
-    rolls_out_s = 5.0
-    """A drive that was broken off, and the news of its end, take this long at most."""
+    reads = (Key.BASE, Key.COMMAND)
+    rolls_out_s, rolls_out_ticks = 5.0, 50
+    """A drive that was broken off, and the news of its end, take this long at most; in a pause mission time stands."""
     tells_again_s = 2.0
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._moves_since: float | None = None
+        self._moves_since, self._moving_ticks = 0.0, 0
         self._told_at = float("-inf")
 
     def trouble(self, base: BaseState) -> str | None:
         now = self.services.clock.now()
-        if not base.moving or self.services.interlock.driving:
-            self._moves_since = None
+        # A drive that is paused explains no motion.
+        drives = self.services.interlock.driving and self.read(Key.COMMAND) != "pause"
+        if not base.moving or drives:
+            self._moving_ticks = 0
             return None
-        self._moves_since = now if self._moves_since is None else self._moves_since
-        if now - self._moves_since <= self.rolls_out_s:
+        if self._moving_ticks == 0:
+            self._moves_since = now
+        self._moving_ticks += 1
+        if now - self._moves_since <= self.rolls_out_s and self._moving_ticks <= self.rolls_out_ticks:
             return None
         if now - self._told_at >= self.tells_again_s:
             self._told_at = now

@@ -12,7 +12,7 @@ from behaviours.leaf import Leaf
 from behaviours.survey import CurrentScan
 from drivers.interfaces import ScanReceipt, ScanSettings
 from drivers.jobs import Job
-from perception.failure import FailureError
+from perception.failure import Failure, FailureError
 from perception.findings import Alignment
 
 
@@ -43,12 +43,15 @@ class StandStill(Leaf):
 class TakeScan(JobLeaf):
     """Orders a scan under a new name where the base stands and waits until the scanner has it.
 
-    Nothing lets the base move from the order to the scan's end, whatever else goes on.
+    Nothing lets the base move from the order to the scan's end, whatever else goes on; where nobody tells of the end,
+    to that of the time that a scan may take.
     """
 
     reads = (Key.BASE,)
     writes = (Key.SCAN, Key.SURVEY)
     timeout_code = "SCAN_TIMEOUT"
+    _turns_on = False
+    """Whether the scanner may be at it still, though this leaf has given it up."""
 
     def start(self) -> Job[ScanReceipt]:
         base = self.read(Key.BASE)
@@ -67,6 +70,7 @@ class TakeScan(JobLeaf):
         )
         self.write(Key.SURVEY, survey)
         self.write(Key.SCAN, scan)
+        self._turns_on = False
         self.services.interlock.hold(self.name)
         step = self.services.settings.scanning.step_deg * math.pi / 180
         return self.services.scanner.take(scan_id, ScanSettings(step), base.odom_from_base)
@@ -76,8 +80,14 @@ class TakeScan(JobLeaf):
 
     def terminate(self, new_status: Status) -> None:
         super().terminate(new_status)
-        if hasattr(self, "services"):
+        if hasattr(self, "services") and not self._turns_on:
             self.services.interlock.release(self.name)
+
+    def failed(self, failure: Failure) -> Status:
+        self._turns_on = failure.code == "AGENT_UNREACHABLE"
+        if self._turns_on:
+            self.services.interlock.hold(self.name, until=self._began + self.timeout())
+        return super().failed(failure)
 
     def finish(self, value: ScanReceipt) -> Status:
         self.write(Key.SCAN, replace(self.read(Key.SCAN), receipt=value))

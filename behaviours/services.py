@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -75,22 +76,23 @@ class _Answered:
 
 
 class Interlock:
-    """Whether anything forbids the wheels to turn now: a scan that is being taken; and whether a drive turns them."""
+    """Whether the wheels may turn now: a drive is under way, and no scan that they would spoil."""
 
     def __init__(self) -> None:
-        self._held_by: set[str] = set()
+        self._held_until: dict[str, float] = {}
         self._driven_by: set[str] = set()
 
-    @property
-    def free(self) -> bool:
-        return not self._held_by
+    def lets_drive(self, now: float) -> bool:
+        """Whether a base that is let move at mission time ``now`` does nothing but what was ordered."""
+        return self.driving and all(now >= until for until in self._held_until.values())
 
-    def hold(self, who: str) -> None:
-        self._held_by.add(who)
+    def hold(self, who: str, until: float = inf) -> None:
+        """Forbid motion, up to some mission time at most."""
+        self._held_until[who] = until
 
     def release(self, who: str) -> None:
         """Harmless for who does not hold it."""
-        self._held_by.discard(who)
+        self._held_until.pop(who, None)
 
     @property
     def driving(self) -> bool:

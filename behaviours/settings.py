@@ -1,14 +1,16 @@
 """What an operator may set for a mission; the defaults are the paper's where it names them."""
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Lt
 
 from perception import fence
 
-Positive = Annotated[float, Gt(0)]
-NotNegative = Annotated[float, Ge(0)]
+# No limit is infinite: everything is waited for until some time.
+Positive = Annotated[float, Gt(0), Lt(inf)]
+NotNegative = Annotated[float, Ge(0), Lt(inf)]
 Share = Annotated[float, Ge(0), Le(1)]
 Count = Annotated[int, Ge(1)]
 
@@ -29,7 +31,7 @@ class ScanningSettings:
     attempts: Count = 2
     spots: Count = 2
     planned: Count = 40
-    min_free_gb: NotNegative = 0.5
+    min_free_gb: Positive = 0.5
     room_s: Positive = 3600.0
     moved_share: Share = 0.01
     calm_s: NotNegative = 30.0

@@ -28,9 +28,6 @@ log = logging.getLogger("mission")
 T = TypeVar("T")
 
 _PATIENCE_TICKS = 100
-_INTERRUPTED = Failure("NAV_INTERRUPTED", "the drive was given up when the mission was ended")
-
-
 Made = Callable[[Any], Sequence[KeptFile]]
 """The files that a job made, of the value that it came to."""
 
@@ -57,6 +54,7 @@ class Chronicle:
         self._clock = clock
         self._told = ledger.jobs()
         self._owed: list[tuple[int, _Ending, float]] = []
+        self._dropped = 0
         self._reopen_what_was_given_up()
         self._next = 0
         self._unheard = 0
@@ -81,6 +79,11 @@ class Chronicle:
     def telling(self) -> bool:
         """Whether known outcomes are left to be told; nothing that happens meanwhile is new."""
         return self._next < len(self._told) or self._unheard > 0
+
+    @property
+    def scans_taken(self) -> int | None:
+        """Scans that a mission has which is taken up again; None where none has begun."""
+        return sum(row.kind == "take" and row.how == "done" for row in self._told) if self._told else None
 
     def release(self) -> None:
         """Leave to act: what was begun when the known outcomes ended is done now."""
@@ -109,12 +112,17 @@ class Chronicle:
                 row = self._row
                 raise FailureError("RESUME_DIVERGED", f"the tree does not come to job {row.seq}, {row.kind} {row.name}")
 
-    def sense(self, live: BaseState | None) -> BaseState | None:
-        """What the base says; while telling, what it said when the next job was begun."""
+    def sense(self, live: BaseState | None, owner: str) -> BaseState | None:
+        """What the base says; while telling, what it said when the next job was begun.
+
+        Args:
+            owner: this mission, by the name that it has the lease under.
+        """
         if self.telling:
             then = from_json(json.loads(self._row.world))
-            # What the work goes by is of the past; whether the base is well, and whose, is the watch's, and of now.
-            live = then and replace(then, emergency_stop=False, age=0.0, owner=live.owner if live else "")
+            # What the work goes by is of the past. Whether the base is well, and whose, is the watch's, and of now: it
+            # is looked at when all is told, for until then nothing can act, nor tell the base that its owner lives.
+            live = then and replace(then, emergency_stop=False, age=0.0, owner=owner)
         elif live is not None:
             live = self._footing.named(live)
         self._sensed = live
@@ -160,7 +168,9 @@ class Chronicle:
         self._next += 1
         self._moved = True
         self._at = max(self._at, row.begun)
-        return _ToldJob(self, row) if row.ended is not None else _LivedJob(self, lambda: row.seq, start, made)
+        if row.ended is not None:
+            return _ToldJob(self, row)
+        return _LivedJob(self, lambda: row.seq, _interrupted if row.seq == self._dropped else start, made)
 
     @property
     def _row(self) -> JobRow:
@@ -210,20 +220,16 @@ class Chronicle:
     def _reopen_what_was_given_up(self) -> None:
         """A job that was cancelled last was not given up by the tree but by an executive on its way out: it is open.
 
-        Only a drive is not, for the base never drives a goal again that it was told to drop; the tree finds another
-        way, in this life and in those that are told of it.
+        A drive is not ordered again, for the base never drives a goal that it was told to drop: it fails when there is
+        leave to act, and how far it came is seen then.
         """
         if not self._told or self._told[-1].how != "cancelled":
             return
         last = self._told.pop()
         self._ledger.reopen(last.seq)
+        self._told.append(replace(last, ended=None, how=None, outcome=None))
         if last.kind == "drive":
-            assert last.ended is not None
-            ending = _Ending("failed", json.dumps(to_json(_INTERRUPTED)))
-            self._owed.append((last.seq, ending, last.ended))
-            self._told.append(replace(last, how=ending.how, outcome=ending.outcome))
-        else:
-            self._told.append(replace(last, ended=None, how=None, outcome=None))
+            self._dropped = last.seq
 
 
 class _ToldJob:
@@ -246,7 +252,8 @@ class _ToldJob:
         self._polls += 1
         if self._polls == 1:
             return Running()
-        self._chronicle.told(self._row.ended)
+        if self._polls == 2:
+            self._chronicle.told(self._row.ended)
         self._hear()
         value = from_json(json.loads(self._row.outcome))
         if self._row.how == "done":
@@ -322,6 +329,10 @@ class _Stillborn:
 
     def cancel(self) -> None:
         """There is nothing to cancel."""
+
+
+def _interrupted() -> Job[Any]:
+    raise FailureError("NAV_INTERRUPTED", "the drive was given up when the mission was ended")
 
 
 def _begun(start: Callable[[], Job[Any]]) -> Job[Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from behaviours.settings import Settings
 from drivers.refusal import key_of, told
@@ -50,6 +50,16 @@ class SiteConfig(BaseModel):
         if remote and not agent.server_key:
             raise ValueError(f"{remote[0]} is on another machine, so server_key is needed: docs/security.md")
         return agent
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "SiteConfig":
+        for key, address, what in (
+            ("scanner.bulk", self.scanner.bulk, "scans come home by it"),
+            ("base.telemetry", self.base.telemetry, "the base says by it where it is"),
+        ):
+            if not address:
+                raise ValueError(f"{key}: expected an address, for {what}; found nothing")
+        return self
 
     @field_validator("keys")
     @classmethod

@@ -149,7 +149,8 @@ class Executive:
         moved_on = command != "abort" and self.course.enter(self._state(command))
         state = self.course.state
         self._clock.stand_still(command == "pause" and state.phase is Phase.PAUSED)
-        may_move = command == "run" and state.phase in DRIVING and self._services.interlock.free
+        lets_drive = self._services.interlock.lets_drive(self._services.clock.now())
+        may_move = command == "run" and state.phase in DRIVING and lets_drive
         self._services.base.beat(len(self.durations) + 1, may_move)
         self.changed = moved_on or self.survey is not before
         self._record_transitions()

@@ -4,10 +4,10 @@ from mission.attempt import attempt
 from mission.export.e57 import write_e57
 from mission.export.ros_map import write_ros_map
 from mission.report import write_report
-from mission.report.run import read_run
+from mission.report.run import EVALUATION, read_run
 from mission.store import RunFolder
 
-_CLOUD = "building.e57"
+_CLOUD, _MAP = "building.e57", "maps/building"
 
 
 def finish(folder: RunFolder) -> bool:
@@ -34,10 +34,21 @@ def report_again(folder: RunFolder) -> bool:
         FailureError: ``RUN_UNREADABLE`` if the folder holds no run, ``DISK_FULL``, ``IO_ERROR``.
     """
     run = read_run(folder.path)
-    if run.state.get("outcome") and run.scans and not (folder.path / _CLOUD).exists():
+    if run.state.get("outcome") and run.scans and not _is_delivered(folder):
         return finish(folder)
     write_report(folder.path)
     return True
+
+
+def _is_delivered(folder: RunFolder) -> bool:
+    """Whether the cloud, the map and the evaluation that belong to a run are there, and not of an earlier end of it."""
+    due = [folder.path / _CLOUD]
+    if _map_of(folder):
+        due.append(folder.path / f"{_MAP}.yaml")
+    if folder.rehearsal.exists():
+        due.append(folder.path / EVALUATION)
+    ended = folder.state.stat().st_mtime
+    return all(file.exists() and file.stat().st_mtime >= ended for file in due)
 
 
 def _evaluate(folder: RunFolder) -> None:
@@ -47,6 +58,9 @@ def _evaluate(folder: RunFolder) -> None:
 
 
 def _export_map(folder: RunFolder) -> None:
-    map_id = read_run(folder.path).state.get("map_id")
-    if map_id:
-        write_ros_map(folder.robot_map(map_id), folder.path / "maps" / "building")
+    if map_id := _map_of(folder):
+        write_ros_map(folder.robot_map(map_id), folder.path / _MAP)
+
+
+def _map_of(folder: RunFolder) -> str | None:
+    return read_run(folder.path).state.get("map_id")

@@ -56,6 +56,12 @@ def signals(word: Word) -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def deaf() -> None:
+    """The mission has ended: there is nothing left to pause or to abort until somebody listens to the signals again."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
 @dataclass(frozen=True)
 class Question:
     """One question as the operator sees it.

@@ -43,8 +43,13 @@ class UnreachableError(NoGoError):
     """An agent did not answer, or the base is somebody else's."""
 
 
-def preflight(config: SiteConfig, scanner: Scanner, base: Base, journal: Journal, folder: Path) -> None:
+def preflight(
+    config: SiteConfig, scanner: Scanner, base: Base, journal: Journal, folder: Path, taken: int | None = None
+) -> None:
     """Look at everything; put it on record.
+
+    Args:
+        taken: scans that a mission has already which is taken up again; None for one that begins.
 
     Raises:
         UnreachableError: when an agent does not answer.
@@ -55,7 +60,7 @@ def preflight(config: SiteConfig, scanner: Scanner, base: Base, journal: Journal
     silent = [f"{name}: {answer}" for name, answer in needed if isinstance(answer, Failure)]
     if silent:
         raise UnreachableError("; ".join(silent))
-    findings = inspect(config, met, folder)
+    findings = inspect(config, met, folder, taken)
     journal.record("preflight", findings=[asdict(finding) for finding in findings])
     for name, info in (("scanner", met.scanner), ("base", met.base)):
         assert isinstance(info, ScannerInfo | BaseInfo)
@@ -79,21 +84,24 @@ def meet(scanner: Scanner, base: Base, patience_s: float = PATIENCE_S) -> Answer
     return Answers(scanner_is, base_is, _telemetry(base, 0.0 if silent else patience_s), self_test)
 
 
-def inspect(config: SiteConfig, met: Answers, folder: Path) -> list[Finding]:
+def inspect(config: SiteConfig, met: Answers, folder: Path, taken: int | None = None) -> list[Finding]:
     """Everything that speaks for or against a start.
 
     Args:
         met: as :func:`meet` gives it.
         folder: where the run folder is, or will be.
+        taken: see :func:`preflight`. What is under way needs no more charge than it takes to go home for more, and room
+            for the rest of its scans.
     """
+    battery = config.settings.battery
     return [
         *_agent("scanner", met.scanner, config.scanner.serial),
         *([] if isinstance(met.scanner, Failure) else [_self_test(met.self_test)]),
         *_agent("base", met.base, config.base.serial),
-        *_condition(config.settings, met.state),
+        *_condition(battery.low if taken is None else battery.critical, met.state),
         *_settings(config.settings),
         *([] if isinstance(met.base, Failure) else _clearances(config.settings, met.base)),
-        _disk(config.settings, folder),
+        _disk(config.settings, folder, max(1, config.settings.scanning.planned - (taken or 0))),
     ]
 
 
@@ -135,11 +143,10 @@ def _self_test(found: SelfTest | Failure) -> Finding:
     )
 
 
-def _condition(settings: Settings, state: BaseState | Failure) -> Iterator[Finding]:
+def _condition(needed: float, state: BaseState | Failure) -> Iterator[Finding]:
     if isinstance(state, Failure):
         yield Finding("base telemetry", False, str(state))
         return
-    needed = settings.battery.low
     charge = f"{state.battery:.0%}"
     enough = state.battery >= needed
     yield Finding("battery", enough, charge if enough else f"{charge}; charge it to {needed:.0%} at least")
@@ -180,11 +187,12 @@ def _clearances(settings: Settings, base: BaseInfo) -> Iterator[Finding]:
         yield Finding(f"settings.driving.{name}", fits, found if fits else f"{found}; at least {needed:.2f} m")
 
 
-def _disk(settings: Settings, folder: Path) -> Finding:
-    planned = settings.scanning.planned
-    needed = planned * beams(settings) * _BYTES_A_BEAM + _SPARE_BYTES
+def _disk(settings: Settings, folder: Path, scans: int) -> Finding:
+    # With less than the second a mission would stand still at once.
+    spare = max(_SPARE_BYTES, settings.scanning.min_free_gb * 1e9)
+    needed = scans * beams(settings) * _BYTES_A_BEAM + spare
     free = shutil.disk_usage(folder).free
-    found = f"{free / 1e9:.1f} GB free, {needed / 1e9:.1f} GB needed for {planned} scans"
+    found = f"{free / 1e9:.1f} GB free, {needed / 1e9:.1f} GB needed for {scans} scans"
     return Finding("disk for the scans", free >= needed, found)
 
 

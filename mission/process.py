@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers import recorded, scan_file
+from drivers.disk import writing
 from mission import stages
 from mission.clock import MissionClock
 from mission.finish import finish
@@ -30,6 +31,8 @@ _ANY_SCANNER = Limits(bad_share=0.05, return_share=0.01, empty_sector=2 * math.p
 """Somebody else's scanner may look to one side only, and its beams are known by direction alone."""
 
 Row = dict[str, Any]
+Reading = tuple[Path, SetUp | FailureError, float]
+"""A set-up of a file, or why there is none, and the seconds that reading took."""
 
 
 def process_folder(folder: Path, out: Path) -> Row:
@@ -42,18 +45,14 @@ def process_folder(folder: Path, out: Path) -> Row:
 
     Raises:
         FailureError: ``RECORDED_NONE`` for a folder without scans; where no file of it can be read, as
-            :func:`drivers.recorded.read_file` for the first.
+            :func:`drivers.recorded.read_file` for the first; ``DISK_FULL``, ``IO_ERROR`` of the run folder.
     """
-    files = recorded.files_of(folder)
-    readings = _readings(files)
-    first = next(readings)
-    if len(files) == 1 and isinstance(first[1], FailureError):
-        raise first[1]
+    readings = _readings(recorded.files_of(folder))
+    refused, usable = _until_usable(readings)
     run = RunFolder.create(out, folder.resolve().name.lower())
     journal = JsonLines(run.events, MissionClock())
     processing = _Processing(run, journal)
-    processing.read(*first)
-    for reading in readings:
+    for reading in (*refused, usable, *readings):
         processing.read(*reading)
     processing.shape()
     journal.close()
@@ -61,7 +60,19 @@ def process_folder(folder: Path, out: Path) -> Row:
     return {"run": str(run.path), "report": str(run.report), "scans": processing.rows, "room": processing.room}
 
 
-def _readings(files: list[Path]) -> Iterator[tuple[Path, SetUp | FailureError, float]]:
+def _until_usable(readings: Iterator[Reading]) -> tuple[list[Reading], Reading]:
+    """What was refused before the first set-up, and that; raises the first refusal where there is none."""
+    refused: list[Reading] = []
+    for reading in readings:
+        if isinstance(reading[1], SetUp):
+            return refused, reading
+        refused.append(reading)
+    why = refused[0][1]
+    assert isinstance(why, FailureError)
+    raise why
+
+
+def _readings(files: list[Path]) -> Iterator[Reading]:
     """Each set-up of each file, or why there is none, and the seconds that reading took."""
     number = 1
     for path in files:
@@ -99,7 +110,9 @@ class _Processing:
             self.rows.append({"source": path.name, "seconds": self._seconds})
             self._refuse(self.rows[-1], path.name, item)
             return
-        scan_file.write(self._run.scan_file(item.scan.scan_id), item.scan)
+        file = self._run.scan_file(item.scan.scan_id)
+        with writing(file):
+            scan_file.write(file, item.scan)
         self.take(item)
 
     def take(self, item: SetUp) -> None:

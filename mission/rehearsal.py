@@ -21,11 +21,13 @@ from drivers.wire.endpoints import Endpoints
 from mission.bulletin import Display
 from mission.config import ConfigError, SiteConfig, parse_config
 from mission.control import CONTROL_FILE
+from mission.operator import deaf
 from mission.preflight import UnreachableError
 from mission.run import Summary, run_mission
 from mission.store import RunFolder, write_text
 
 _ANY_PORT = "tcp://127.0.0.1:*"
+_ANYWHERE = Endpoints(_ANY_PORT, _ANY_PORT, _ANY_PORT)
 _PATIENCE_S = 10
 _COMING_UP_S = 300
 """A first start compiles, on a busy machine; a large building takes its time to load."""
@@ -61,7 +63,7 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
         UnreachableError: when an agent does not come up.
     """
     # Checked before anything is started: a wrong override must not cost a building.
-    configure(plan, Endpoints(_ANY_PORT), Endpoints(_ANY_PORT))
+    configure(plan, _ANYWHERE, _ANYWHERE)
     _check_simulation(plan)
     with TemporaryDirectory() as scratch:
         built = Path(scratch) / "world.npz"
@@ -73,7 +75,9 @@ def rehearse(plan: Rehearsal, out: Path, display: Display | None = None) -> Summ
         shutil.move(built, folder.world)
     write_text(folder.rehearsal, json.dumps(vars(plan) | {"scenario": str(plan.scenario or "")}))
     with agents(plan, folder) as (scanner, base):
-        return run_mission(configure(plan, scanner, base), folder, display)
+        summary = run_mission(configure(plan, scanner, base), folder, display)
+        deaf()  # the agents are still to be ended
+        return summary
 
 
 def _build(plan: Rehearsal, file: Path) -> None:

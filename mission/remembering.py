@@ -34,7 +34,7 @@ def remembering(services: Services, chronicle: Chronicle) -> Services:
     return replace(
         services,
         scanner=RememberedScanner(services.scanner, chronicle),
-        base=RememberedBase(services.base, chronicle),
+        base=RememberedBase(services.base, chronicle, services.owner),
         perception=RememberedPerception(services.perception, chronicle),
         operator=RememberedOperator(services.operator, chronicle),
         clock=RememberedClock(chronicle),
@@ -68,15 +68,16 @@ class RememberedScanner:
 class RememberedBase:
     """A :class:`~drivers.interfaces.Base`; to stand still needs no leave and leaves no trace."""
 
-    def __init__(self, base: Base, chronicle: Chronicle) -> None:
+    def __init__(self, base: Base, chronicle: Chronicle, owner: str) -> None:
         self._base = base
         self._chronicle = chronicle
+        self._owner = owner
 
     def info(self) -> Job[BaseInfo]:
         return self._base.info()
 
     def state(self) -> BaseState | None:
-        return self._chronicle.sense(self._base.state())
+        return self._chronicle.sense(self._base.state(), self._owner)
 
     def drive(self, goal: DriveGoal) -> Job[DriveReport]:
         frame = self._chronicle.odom_frame

@@ -13,6 +13,7 @@ from mission.bulletin import Display
 from mission.config import SiteConfig, load_config
 from mission.fsck import check
 from mission.ledger import Ledger
+from mission.operator import deaf
 from mission.run import Summary, run_mission
 from mission.store import RunFolder, read_mapping, write_text
 from perception.failure import FailureError
@@ -46,7 +47,9 @@ def resume_run(path: Path, display: Display | None = None, go_on_at_once: bool =
     if found.log:
         rewrite_log(folder)
     with agents_met(folder) as config:
-        return run_mission(config, folder, display, paused=not go_on_at_once)
+        summary = run_mission(config, folder, display, paused=not go_on_at_once)
+        deaf()  # its agents, where it is a rehearsal, are still to be ended
+        return summary
 
 
 def _outcome(folder: RunFolder) -> str | None:

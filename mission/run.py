@@ -77,7 +77,7 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
         scanner = ScannerClient(config.scanner, sockets=sockets_to(config, config.scanner), mission=name)
         base = BaseClient(config.base, sockets=sockets_to(config, config.base), mission=name)
         stack.callback(base.close)
-        preflight(config, scanner, base, journal, folder.path)
+        preflight(config, scanner, base, journal, folder.path, chronicle.scans_taken)
         try:
             lease = stack.enter_context(ownership(base))
         except FailureError as error:
@@ -92,6 +92,7 @@ def run_mission(config: SiteConfig, folder: RunFolder, display: Display | None =
         stack.callback(bulletin.close)
 
         def after_tick(tick: int) -> None:
+            worker.watch()
             commit(journal)
             bulletin.tell(executive, tick)
 

@@ -44,9 +44,16 @@ class PerceptionWorker:
         self._deadline = deadline
         self._process = WorkerProcess()
         self._ending: list[threading.Thread] = []
+        self._newest: _StageJob | None = None
 
     def submit(self, stage: str, /, **arguments: object) -> Job[Any]:
-        return _StageJob(self, stage, arguments)
+        self._newest = _StageJob(self, stage, arguments)
+        return self._newest
+
+    def watch(self) -> None:
+        """Look after the stage under way while nobody asks for it, as in a pause."""
+        if self._newest is not None:
+            self._newest.watch()
 
     def schedule(self, stage: str, arguments: Mapping[str, object]) -> tuple[Any, WorkerProcess]:
         """A future of (value, seconds), and the process that it will never come from if that does not live."""
@@ -106,7 +113,7 @@ class _StageJob:
 
     def poll(self) -> Outcome[Any]:
         if self._outcome is None:
-            self._watch()
+            self.watch()
             if self._future.done() or not self._process.lives:
                 self._outcome = self._conclude()
         if self._outcome is not None:
@@ -117,7 +124,7 @@ class _StageJob:
         self._outgrown = False
         self._future.cancel()
 
-    def _watch(self) -> None:
+    def watch(self) -> None:
         """End a stage that outgrows the machine before the kernel does, which may choose any process."""
         if self._future.running() and self._worker.has_outgrown(self._process, self._stage):
             self._outgrown = self._future.cancel()

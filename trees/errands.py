@@ -1,10 +1,11 @@
 """Ways through the building that are not for the next view: drives that survive an interruption, home, the charger."""
 
 from py_trees.behaviour import Behaviour
+from py_trees.decorators import SuccessIsFailure
 
 from behaviours.asking import Ask
 from behaviours.charging import BatteryIsGood, WaitForCharge
-from behaviours.conditions import FailureIs
+from behaviours.conditions import FailureIs, FailureIsNot
 from behaviours.driving import (
     BrokenOffByTouch,
     DriveToTarget,
@@ -14,12 +15,13 @@ from behaviours.driving import (
     TargetNearby,
     TargetStart,
 )
+from behaviours.homecoming import Stranded
 from behaviours.mapping import SetScanAside
 from behaviours.recover import Recover
 from behaviours.rooms import GiveUpRoom
 from behaviours.safety import EndMission
 from behaviours.settings import Settings
-from trees.compose import first_that_works, steps
+from trees.compose import first_that_works, if_possible, steps
 from trees.locating import end_on_the_spot, located
 from trees.recovery import ANOTHER_SCAN_MAY_HELP
 
@@ -70,23 +72,45 @@ def go_home(settings: Settings) -> Behaviour:
 
 
 def enough_charge(settings: Settings) -> Behaviour:
-    """Goes on at once with charge enough; else home to the charger and back, and where that fails the mission ends."""
+    """Goes on at once with charge enough; else home to the charger and back. Fails where no way leads back."""
     return first_that_works(
         "enough charge",
         BatteryIsGood("charge for the way home?"),
         steps(
             "charge",
-            Recover(
-                "go to the charger",
-                primary=go_home(settings),
-                recovery=FailureIs("way home blocked?", "NAV_"),
-                attempts=_ATTEMPTS,
-            ),
-            WaitForCharge("wait for the charge"),
+            first_that_works("charged", charged_at_the_start(settings), end_without_charge()),
             TargetLastScan("pick the last scan's place"),
             drive("drive back to work", settings),
         ),
-        steps("out of charge", GiveUpRoom("leave the room at that"), EndMission("end without charge", "finished")),
+    )
+
+
+def charged_at_the_start(settings: Settings) -> Behaviour:
+    return steps(
+        "charged at the start",
+        Recover(
+            "go to the charger",
+            primary=go_home(settings),
+            recovery=FailureIs("way home blocked?", "NAV_"),
+            attempts=_ATTEMPTS,
+        ),
+        WaitForCharge("wait for the charge"),
+    )
+
+
+def end_without_charge() -> Behaviour:
+    """Fails, for nothing is to be done any more."""
+    return SuccessIsFailure(
+        "out of charge",
+        steps(
+            "end at that",
+            GiveUpRoom("leave the room at that"),
+            if_possible(
+                "why it is not there",
+                steps("not there", FailureIsNot("at the start?", "BATTERY_LOW"), Stranded("say why not")),
+            ),
+            EndMission("end without charge", "finished"),
+        ),
     )
 
 

@@ -13,6 +13,7 @@ ANOTHER_SCAN_MAY_HELP = ("SCAN_", "ALIGN_", "XFER_BROKEN")
 HELP_WITH = (
     "REG_", "SCAN_", "ALIGN_", "XFER_", "NAV_", "AGENT_", "PERC_", "DISK_FULL", "IO_ERROR", "SPOOL_FAILED",
     "DEVICE_FORGOT", "DRIVER_EXCEPTION", "RESULT_NOT_FINITE", "ESTOP", "LEAF_EXCEPTION",
+    "RUN_LOSSY",
 )  # fmt: skip
 """Codes of what a person at the robot may be able to put right."""
 _ATTEMPTS = 3

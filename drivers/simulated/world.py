@@ -106,7 +106,9 @@ class Truth:
             if room.room_id == room_id:
                 return room
         known = [room.room_id for room in self.rooms]
-        raise FailureError("WORLD_NO_ROOM", f"the world has no room '{room_id}'", room=room_id, known=known)
+        raise FailureError(
+            "WORLD_NO_ROOM", f"the world has no room '{room_id}', but {', '.join(known) or 'none'}", room=room_id
+        )
 
 
 @dataclass(frozen=True)

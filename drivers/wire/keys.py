@@ -216,7 +216,8 @@ def _require_private(found: os.stat_result, path: Path, mode: str) -> None:
         raise FailureError(
             "KEYS_EXPOSED",
             f"{path} can be read or changed by others (mode {stat.S_IMODE(found.st_mode):03o}, owner {found.st_uid}); "
-            f"if nobody did: chmod {mode} {path}; if somebody may have: remove it and pair anew",
+            f"if nobody did: chmod {mode} {path}; if somebody may have: `mission unpair` it wherever it is "
+            "paired, remove it, and pair the new one",
             file=str(path),
         )
 

@@ -11,7 +11,9 @@ from drivers.messages import (
     PROTOCOL,
     Abort,
     Body,
+    Manifest,
     Ok,
+    Open,
     Pending,
     Pose,
     Release,
@@ -31,6 +33,7 @@ from perception.failure import FailureError
 from perception.transforms import Matrix
 
 POLL_S = 0.05
+_NO_SCAN = "S00"
 PARTING = Patience(first=0.5, longest=1.0, total=3.0)
 """For the last words of a job that is over already."""
 
@@ -44,6 +47,7 @@ class ScannerClient(AgentClient):
         def run(progress: Progress) -> ScannerInfo:
             with self._control(progress) as link:
                 identity, clock = introduced(link, ScannerIdentity)
+            self._require_bulk(progress)
             return ScannerInfo(identity.model, identity.serial, PROTOCOL, clock)
 
         return BackgroundJob(run, "scanner info")
@@ -83,6 +87,15 @@ class ScannerClient(AgentClient):
             return path
 
         return BackgroundJob(run, f"fetch {receipt.scan_id}")
+
+    def _require_bulk(self, progress: Progress) -> None:
+        """A scan that cannot be fetched from there is told of before it is taken."""
+        try:
+            with Link(self._sockets, self._endpoints.bulk, self._patience, progress) as link:
+                link.ask(Open(full_name(self._mission, _NO_SCAN)), Manifest)
+        except FailureError as error:
+            if error.failure.code not in ("SCAN_UNKNOWN", "NOT_ALLOWED"):  # both are said by who is there
+                raise
 
     def _follow(self, link: Link, order: Take, progress: Progress) -> ScanReceipt:
         status: Body = link.ask(order, (Pending, ScanDone))

@@ -27,8 +27,7 @@ def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
     """Run a mission, deliver what came of it, print its summary, and leave with the exit code of its outcome."""
     from mission.preflight import NoGoError, UnreachableError
 
-    # Before the tick loop listens to the signals, and after it, both end the command the same way.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _end_by_signals()
     try:
         with refusals():
             summary = mission()
@@ -41,6 +40,7 @@ def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
     except KeyboardInterrupt as interrupt:
         typer.echo("aborted", err=True)
         raise typer.Exit(EXIT_CODES["aborted"]) from interrupt
+    _end_by_signals()
     report = _delivered(Path(summary.run))
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
@@ -54,6 +54,12 @@ def conclude(mission: Callable[[], "Summary"], as_json: bool) -> NoReturn:
         typer.echo(rooms)
         typer.echo(report)
     raise typer.Exit(EXIT_CODES[summary.outcome])
+
+
+def _end_by_signals() -> None:
+    """Before the tick loop listens to the signals, and after it, both end the command the same way."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
 
 
 def _delivered(run: Path) -> str:

@@ -63,10 +63,12 @@ def test_the_map_frame_is_made_by_the_first_scan() -> None:
 
 
 def test_a_scan_set_aside_waits() -> None:
-    put(SURVEY=Survey())
+    put(SURVEY=Survey(), SCAN=current("S03", np.eye(4)))
     assert answer(conditions.ScanIsSetAside("waits?")) == NO
     put(SURVEY=Survey(set_aside=(current("S02", np.eye(4)),)))
     assert answer(conditions.ScanIsSetAside("waits?")) == YES
+    put(SURVEY=Survey(set_aside=(current("S03", np.eye(4)),)))
+    assert answer(conditions.ScanIsSetAside("waits?")) == NO, "what it was refused by has not changed"
 
 
 @pytest.mark.parametrize("status", ["open", "complete", "partial"])

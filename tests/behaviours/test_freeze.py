@@ -4,7 +4,8 @@ from py_trees.behaviours import StatusQueue
 from py_trees.common import Status
 
 from behaviours.freeze import Freeze
-from tests.behaviours.bench import tick
+from tests.behaviours.bench import Bench, tick
+from tests.behaviours.test_job import Stopping
 
 RUN, YES, NO = Status.RUNNING, Status.SUCCESS, Status.FAILURE
 
@@ -61,3 +62,16 @@ def test_an_interrupt_stops_frozen_work_too() -> None:
     tick(freeze)
     freeze.stop(Status.INVALID)
     assert (work.ended, work.status) == ([Status.INVALID], Status.INVALID)
+
+
+def test_the_time_in_which_work_was_frozen_is_no_part_of_its_deadline() -> None:
+    bench, work = Bench(), Stopping(limit=60.0)
+    watch = Scripted("watch", NO, RUN, RUN, NO, NO, NO)
+    freeze = Freeze("freeze", watch, work)
+    bench.set_up(freeze)
+    for passes in (30.0, 500.0, 500.0, 20.0):
+        assert tick(freeze) == RUN
+        bench.clock.sleep(passes)
+    assert tick(freeze) == RUN, "50 s since it began, not counting the hold"
+    bench.clock.sleep(11.0)
+    assert (tick(freeze), bench.codes) == (NO, ["STOP_TIMEOUT"])

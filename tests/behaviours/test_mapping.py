@@ -49,6 +49,42 @@ def test_each_order_has_a_name_of_its_own_even_when_the_last_one_failed() -> Non
         assert tick(leaf) == Status.FAILURE
 
 
+def test_while_a_scan_is_taken_no_drive_moves_the_base() -> None:
+    bench, leaf = Bench(), TakeScan("take")
+    bench.set_up(leaf)
+    put(SURVEY=Survey(), BASE=standing())
+    interlock = bench.services.interlock
+    interlock.set_out("a drive")
+    tick(leaf)
+    assert not interlock.lets_drive(bench.clock.now())
+    bench.job.done(receipt("S01"))
+    tick(leaf)
+    assert interlock.lets_drive(bench.clock.now())
+
+
+@pytest.mark.parametrize(("code", "turns_on"), [("AGENT_UNREACHABLE", True), ("SCAN_FAILED", False)])
+def test_a_scan_that_nobody_tells_of_any_more_keeps_the_base_for_as_long_as_it_may_take(
+    code: str, turns_on: bool
+) -> None:
+    bench, leaf = Bench(), TakeScan("take")
+    bench.set_up(leaf)
+    put(SURVEY=Survey(), BASE=standing())
+    interlock, began = bench.services.interlock, bench.clock.now()
+    interlock.set_out("a drive")
+    tick(leaf)
+    bench.clock.sleep(10.0)
+    bench.job.failed(code)
+    assert tick(leaf) == Status.FAILURE
+    leaf.stop(Status.INVALID)
+    limit = bench.services.settings.scanning.timeout_s
+    free = [interlock.lets_drive(began + seconds) for seconds in (10.0, limit - 0.1, limit)]
+    assert free == [not turns_on, not turns_on, True]
+    tick(leaf)
+    bench.job.done(receipt("S02"))
+    tick(leaf)
+    assert interlock.lets_drive(bench.clock.now()), "a scan after it is the scanner's own word that it is over"
+
+
 def test_the_first_scan_has_no_guess_whatever_the_base_believes() -> None:
     bench, leaf = Bench(), TakeScan("take")
     bench.set_up(leaf)

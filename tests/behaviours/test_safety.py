@@ -36,8 +36,8 @@ def held(leaf: safety.Hold, owner: str = "") -> tuple[Bench, Asked]:
     return bench, asked
 
 
-def sense(leaf: safety.Hold, **telemetry: Any) -> Status:
-    put(BASE=standing(**telemetry))
+def sense(leaf: safety.Hold, command: str = "run", **telemetry: Any) -> Status:
+    put(BASE=standing(**telemetry), COMMAND=command)
     return tick(leaf)
 
 
@@ -222,3 +222,12 @@ def test_a_base_that_drives_or_rolls_out_as_it_was_told_is_none_to_hold_for() ->
     bench.services.interlock.arrive("drive")
     assert [sense(leaf, moving=True), sense(leaf, moving=False), sense(leaf, moving=True)] == [NO, NO, NO]
     assert bench.calls == []
+
+
+def test_a_drive_that_is_paused_explains_no_motion_though_no_mission_time_passes() -> None:
+    leaf = safety.HoldForRogueBase("hold")
+    bench, _ = held(leaf)
+    bench.services.interlock.set_out("drive")
+    found = [sense(leaf, "pause", moving=True) for _ in range(leaf.rolls_out_ticks + 1)]
+    assert found == [NO] * leaf.rolls_out_ticks + [RUN]
+    assert [name for name, *_ in bench.calls] == ["stop"]

@@ -108,12 +108,19 @@ def test_how_far_its_clock_is_off_is_found_by_the_shortest_round_trip(agent, mon
     found, asked = [], introduction._asked
     monkeypatch.setattr(introduction, "_asked", lambda *of: found.append(asked(*of)) or found[-1])
     with Proxy(agent.endpoints.control, to_client=slow) as proxy:
-        clock = value_of(ScannerClient(Endpoints(proxy.endpoint)).info()).clock
+        clock = value_of(ScannerClient(Endpoints(proxy.endpoint, agent.endpoints.bulk)).info()).clock
     trips = [offset.uncertainty for _, offset in found]
     assert sorted(trips)[1] >= 0.1, "half of the second shortest delay"
     assert clock.uncertainty == min(trips)
     assert abs(clock.seconds - 100.0) <= clock.uncertainty + 0.01
     assert 100.0 - 2 * clock.uncertainty - 0.01 <= clock.certain <= 100.01
+
+
+def test_a_scanner_whose_scans_could_not_be_fetched_is_unreachable(agent):
+    nobody = Endpoints(agent.endpoints.control, "tcp://127.0.0.1:1")
+    failure = failure_of(ScannerClient(nobody, IMPATIENT).info())
+    assert failure.code == "AGENT_UNREACHABLE"
+    assert "127.0.0.1:1" in failure.message
 
 
 def test_a_clock_that_is_right_is_found_right(client):

@@ -189,3 +189,20 @@ def test_a_fence_is_read_kept_and_refused_with_the_reason(tmp_path: Path) -> Non
     assert load_config(kept) == config
     (line,) = refusal(fenced([[1, 1], [2, 1], [2, 2]]))
     assert line.startswith("site.yaml: settings.building") and "must lie inside the fence" in line
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["operator.patience_s=.inf", "scanning.timeout_s=.inf", "building.base_lost_s=.nan", "scanning.min_free_gb=0"],
+)
+def test_a_limit_that_would_never_be_met_is_refused(setting: str) -> None:
+    key = setting.partition("=")[0]
+    (line,) = refusal(dict(WHOLE), (f"settings.{setting}",))
+    assert f"settings.{key}: expected " in line
+
+
+@pytest.mark.parametrize(("agent", "address"), [("scanner", "bulk"), ("base", "telemetry")])
+def test_an_address_that_is_missing_is_named(agent: str, address: str) -> None:
+    data = {**WHOLE, agent: {"control": WHOLE[agent]["control"]}}
+    (line,) = refusal(data)
+    assert f"{agent}.{address}: expected an address" in line

@@ -29,6 +29,7 @@ class ObedientBench(Bench):
     def __init__(self) -> None:
         super().__init__()
         self.services.base.stop = self._stop  # type: ignore[method-assign]
+        self.services.interlock.set_out("a drive")
         self.stops = 0
 
     def _stop(self) -> HandJob:
@@ -211,6 +212,14 @@ def test_every_tick_beats_once_and_lets_the_base_move_only_when_nothing_is_order
 def test_a_held_interlock_keeps_the_base_where_it_is() -> None:
     bench = ObedientBench()
     bench.services.interlock.hold("a scan")
+    executed(Ending(2, "aborted"), bench)
+    assert {may_move for _, may_move in bench.beats} == {False}
+
+
+def test_nothing_moves_but_what_drives_here() -> None:
+    """The base may have a goal still that the mission has given up, because a link was silent for too long."""
+    bench = ObedientBench()
+    bench.services.interlock.arrive("a drive")
     executed(Ending(2, "aborted"), bench)
     assert {may_move for _, may_move in bench.beats} == {False}
 

@@ -37,7 +37,9 @@ def run(tmp_path: Path) -> RunFolder:
     ledger.end(ledger.begin("drive", "G001", "null", 0.0), "done", "1", 9.0)
     ledger.close()
     folder.events.write_text(f"{STARTED}\n{ordered(1, 'drive', 'G001')}\n")
-    config = SiteConfig(site="kept", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+    config = SiteConfig(
+        site="kept", scanner=Endpoints("ipc://s", bulk="ipc://s"), base=Endpoints("ipc://b", telemetry="ipc://b")
+    )
     folder.config.write_text(dump_config(config))
     return folder
 

@@ -18,7 +18,7 @@ from mission.keys import sockets_to
 from tests.drivers.wire_fakes import ANYWHERE, QUICK, FakeBase, FakeScanner, value_of
 
 KEY = "ab" * 32
-LOCAL = {"control": "tcp://127.0.0.1:5601"}
+LOCAL = {"control": "tcp://127.0.0.1:5601", "bulk": "tcp://127.0.0.1:5602", "telemetry": "tcp://127.0.0.1:5612"}
 REMOTE = {"control": "tcp://192.0.2.7:5601", "bulk": "tcp://192.0.2.7:5602"}
 
 

@@ -207,9 +207,14 @@ def test_a_drive_that_an_abort_gave_up_is_not_driven_again(path: Path) -> None:
     ledger = Ledger(path)
     ledger.end(ledger.begin("drive", "G001", "null", 1.0), "cancelled", "null", 9.0)
     ledger.close()
-    outcome = told(path, "drive", "G001")
+    chronicle = Chronicle(Ledger(path), VirtualClock())
+    job = chronicle.begin("drive", "G001", lambda: pytest.fail("it was driven again"))
+    assert isinstance(job.poll(), Running), "how far it came is seen when there is leave to act"
+    chronicle.release()
+    outcome = job.poll()
     assert isinstance(outcome, Failed)
     assert outcome.failure.code == "NAV_INTERRUPTED"
+    assert [(row.how, row.name) for row in chronicle._ledger.jobs()] == [("failed", "G001")]
 
 
 def test_a_scan_that_an_abort_gave_up_is_ordered_again_by_its_name(path: Path) -> None:

@@ -26,7 +26,7 @@ FIT = SelfTest((), {"temperature_c": 31.0})
 
 def site(settings: Settings | None = None, serial: str = "") -> SiteConfig:
     here = Endpoints("ipc:///nowhere", "ipc:///nowhere", "ipc:///nowhere", serial=serial)
-    return SiteConfig(site="lab", scanner=here, base=Endpoints("ipc:///nowhere"), settings=settings or Settings())
+    return SiteConfig(site="lab", scanner=here, base=replace(here, serial=""), settings=settings or Settings())
 
 
 def findings(config: SiteConfig, **answers: Any) -> list[Finding]:
@@ -64,6 +64,30 @@ def test_settings_that_do_not_fit_are_named(settings: Settings, what: list[str])
 )
 def test_a_base_that_is_not_fit_is_named(telemetry: dict[str, Any], what: str) -> None:
     assert against(site(), state=standing(**telemetry)) == [what]
+
+
+@pytest.mark.parametrize(
+    ("battery", "taken", "what"), [(0.2, None, ["battery"]), (0.2, 3, []), (0.09, 3, ["battery"]), (0.2, 0, [])]
+)
+def test_a_mission_that_is_taken_up_needs_charge_for_the_way_home_only(
+    battery: float, taken: int | None, what: list[str]
+) -> None:
+    met = Answers(SCANNER, BASE, standing(battery=battery), FIT)
+    assert [finding.what for finding in inspect(site(), met, Path(), taken) if not finding.good] == what
+
+
+def test_there_must_be_room_for_the_scans_that_are_still_to_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    met = Answers(SCANNER, BASE, standing(), FIT)
+
+    def words(taken: int | None, config: SiteConfig) -> str:
+        return next(finding.found for finding in inspect(config, met, Path(), taken) if "disk" in finding.what)
+
+    assert words(None, site()).endswith("for 40 scans")
+    assert words(30, site()).endswith("for 10 scans")
+    assert words(99, site()).endswith("for 1 scans")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=20e9))
+    greedy = site(Settings(scanning=ScanningSettings(planned=1, min_free_gb=20.0)))
+    assert against(greedy) == ["disk for the scans"], "it would hold with its first tick"
 
 
 def test_another_scanner_than_the_sites_is_refused() -> None:

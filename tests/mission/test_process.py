@@ -155,10 +155,12 @@ def test_a_file_that_cannot_be_read_is_a_row_and_the_others_go_on(tmp_path: Path
     assert result.row(1)["scan_id"] == "S01"
 
 
-def test_a_file_that_cannot_be_read_alone_leaves_no_run_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize("names", [("a.ply",), ("a.ply", "b.ply")])
+def test_files_none_of_which_can_be_read_leave_no_run_behind(names: tuple[str, ...], tmp_path: Path) -> None:
     source = tmp_path / "broken"
     source.mkdir()
-    (source / "a.ply").write_bytes(b"no cloud at all")
+    for name in names:
+        (source / name).write_bytes(b"no cloud at all")
     with pytest.raises(FailureError, match="RECORDED_BROKEN"):
         process_folder(source, tmp_path / "runs")
     assert not (tmp_path / "runs").exists()

@@ -1,17 +1,22 @@
 """A rehearsal's configuration and its agents' processes; whole missions are flown in ``tests/missions``."""
 
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import yaml
 
 from drivers.wire.endpoints import Endpoints
 from mission import rehearsal
 from mission.config import ConfigError, dump_config, load_config
 from mission.rehearsal import Rehearsal, configure, rehearse
 from mission.run import UnreachableError
+from tests.missions.flights import ONE_ROOM
 
 SCANNER = Endpoints("tcp://127.0.0.1:5601", bulk="tcp://127.0.0.1:5602")
 BASE = Endpoints("tcp://127.0.0.1:5611", telemetry="tcp://127.0.0.1:5612")
@@ -102,3 +107,24 @@ def test_an_unknown_key_of_a_scenario_is_refused_by_its_name(tmp_path: Path) -> 
     scenario.write_text("scanner: {fail_frist: 1}")
     with pytest.raises(ConfigError, match="fail_frist"):
         rehearse(Rehearsal("school", scenario=scenario), tmp_path)
+
+
+def test_a_signal_while_the_agents_end_takes_nothing_from_a_mission_that_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def interrupted(*_: object) -> Iterator[tuple[Endpoints, Endpoints]]:
+        yield SCANNER, BASE
+        for number in (signal.SIGINT, signal.SIGTERM):
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(rehearsal, "agents", interrupted)
+    monkeypatch.setattr(rehearsal, "run_mission", lambda *_: "its summary")
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(yaml.safe_dump(ONE_ROOM))
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        assert rehearse(Rehearsal(str(plan)), tmp_path / "runs") == "its summary"
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -33,7 +33,9 @@ def run(tmp_path: Path) -> RunFolder:
     ledger.append(['{"kind": "mission_started"}'])
     ledger.close()
     folder.events.write_text('{"kind": "mission_started"}\n')
-    config = SiteConfig(site="kept", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+    config = SiteConfig(
+        site="kept", scanner=Endpoints("ipc://s", bulk="ipc://s"), base=Endpoints("ipc://b", telemetry="ipc://b")
+    )
     folder.config.write_text(dump_config(config))
     return folder
 
@@ -93,7 +95,9 @@ def test_a_mission_that_had_begun_nothing_comes_back_paused_too(
     folder = RunFolder.at(tmp_path)
     with closing(Ledger(folder.ledger)) as ledger:
         ledger.append(['{"kind": "preflight"}'])
-    site = SiteConfig(site="laboratory", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+    site = SiteConfig(
+        site="laboratory", scanner=Endpoints("ipc://s", bulk="ipc://s"), base=Endpoints("ipc://b", telemetry="ipc://b")
+    )
     folder.config.write_text(dump_config(site))
     flown: list[bool] = []
     monkeypatch.setattr("mission.resume.run_mission", lambda *_, paused: flown.append(paused))

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -66,11 +66,15 @@ def value_of(job: Job[Any]) -> Any:
     return outcome.value
 
 
-def eventually_dead(process: int) -> None:
+def eventually(holds: Callable[[], object]) -> None:
     end = time.monotonic() + 20
-    while is_alive(process):
-        assert time.monotonic() < end, "it lives on"
+    while not holds():
+        assert time.monotonic() < end, "it does not happen"
         time.sleep(0.01)
+
+
+def eventually_dead(process: int) -> None:
+    eventually(lambda: not is_alive(process))
 
 
 def is_alive(process: int) -> bool:
@@ -182,6 +186,18 @@ def test_a_worker_that_keeps_too_much_memory_is_replaced_between_two_stages(
     assert value_of(worker.submit("process_id")) == fresh
     eventually_dead(large)
     assert [event["failure"] for event in events if event["kind"] == "stage"] == [None] * 4, "no result was lost"
+
+
+@pytest.mark.parametrize("settings", [WorkerSettings(HIGH_GB, HIGH_GB)])
+def test_a_stage_that_nobody_asks_for_is_killed_for_its_memory_too(
+    worker: PerceptionWorker, events: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    """In a pause no leaf asks for its stage, and it goes on."""
+    worker.watch()
+    worker.submit("burst", gb=2 * HIGH_GB, times=9)
+    eventually(lambda: worker.watch() or any(event.get("code") == "MEM_HIGH" for event in events))
+    for victim in map(int, (tmp_path / "bursts").read_text().split()):
+        eventually_dead(victim)
 
 
 @pytest.mark.parametrize("settings", [WorkerSettings(HIGH_GB, HIGH_GB)])

@@ -101,6 +101,9 @@ class WritingPerception(ScriptedPerception):
     def warm_up(self) -> None:
         """Nothing is cold."""
 
+    def watch(self) -> None:
+        """Nothing grows."""
+
     def build_map(self, scan_id: str, room_id: str, cycle: int, **_: Any) -> Any:
         grid = Grid(np.full((4, 4), Cell.FREE, np.uint8), (-1.0, -1.0), 0.5)
         save_grid(self._folder.map_file(f"map_{scan_id}"), grid)
@@ -145,7 +148,9 @@ class Kept:
 
     def fly(self, disk: BadDisk | None = None) -> Summary | FailureError:
         """One life; what it came to, or how it was refused. Whatever else is raised is an error of the program."""
-        config = SiteConfig(site="kept", scanner=Endpoints("ipc://s"), base=Endpoints("ipc://b"))
+        config = SiteConfig(
+            site="kept", scanner=Endpoints("ipc://s", bulk="ipc://s"), base=Endpoints("ipc://b", telemetry="ipc://b")
+        )
         self.base.beats.clear()
         with ExitStack() as stack:
             self._play_the_parts(stack, disk)

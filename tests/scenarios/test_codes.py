@@ -48,6 +48,7 @@ from tests.scenarios.site import row
         ("DRIVER_EXCEPTION", "take", 1, True),
         ("SPOOL_FAILED", "take", 1, True),
         ("PERC_EXCEPTION", "build_map", 1, True),
+        ("RUN_LOSSY", "build_map", 1, True),
         # Nobody at the robot could.
         ("BAD_MESSAGE", "take", 1, False),
         ("BAD_REPLY", "take", 1, False),

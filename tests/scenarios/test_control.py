@@ -8,7 +8,7 @@ import pytest
 
 from behaviours.settings import OperatorSettings, Settings
 from tests.scenarios.play import Play
-from tests.scenarios.scripted import EVER, FOR_GOOD, TWICE
+from tests.scenarios.scripted import EVER, FOR_GOOD, TWICE, Way
 from tests.scenarios.site import row
 
 EachTick = Callable[[Play, int], None]
@@ -316,6 +316,60 @@ def test_a_base_that_somebody_pushes_holds_the_mission_until_it_stands() -> None
     assert play.phases.count("hold(BASE_ROGUE)") == 1
     assert "stop" in play.base.commands[:-1]
     assert Traces.of(play).scans == undisturbed(2).scans
+
+
+def test_a_base_that_is_pushed_in_a_pause_of_its_drive_is_told_to_stand_too() -> None:
+    def each_tick(play: Play, ticks: int) -> None:
+        if play.calls["drive"] == 1 and not paused:
+            play.word.pause()
+            paused.append(ticks)
+        play.base.is_pushed = bool(paused) and paused[0] + 5 <= ticks < paused[0] + 80
+        if paused and ticks == paused[0] + 100:
+            play.word.resume()
+
+    paused: list[int] = []
+    play = Play(row(2), each_tick=each_tick)
+    assert play.run() == "complete"
+    where = play.phases.index("hold(BASE_ROGUE)")
+    assert play.phases[where - 1 : where + 3] == ["paused", "hold(BASE_ROGUE)", "paused", "running"]
+    assert "stop" in play.base.commands[:-1]
+    assert Traces.of(play).scans == undisturbed(2).scans
+
+
+def test_a_charged_robot_whose_way_back_is_blocked_goes_on_with_what_it_can_reach() -> None:
+    play = Play(row(2), each_tick=discharge(30, 0.2, charged_after=12))
+    play.script.fail("drive", "NAV_BLOCKED", (4,))
+    assert play.run() == "incomplete"
+    assert [event["purpose"] for event in play.events.of("drive")] == ["view", "door", "start", "back", "start"]
+    assert ("partial", "NAV_BLOCKED") in play.rooms.values()
+    assert play.course.state.code == ""
+
+
+def test_a_hold_in_mid_drive_costs_the_drive_nothing_of_its_deadline() -> None:
+    settings = Settings()
+    held_s = 1.2 * settings.driving.timeout_s
+
+    def each_tick(play: Play, ticks: int) -> None:
+        under_way = any(job.what == "drive" and not job.over for job in play.script.jobs)
+        if under_way and not began:
+            began.append(play.clock.now())
+        charged = not began or play.clock.now() > began[0] + held_s
+        play.base.battery = 0.9 if charged else 0.05
+
+    began: list[float] = []
+    play = Play(row(1), each_tick=each_tick)
+    play.script.answer("drive", Way(seconds=lambda seconds: seconds + held_s))
+    assert play.run() == "complete"
+    assert play.phases.count("hold(BATTERY_CRITICAL)") == 1
+    assert play.events.codes == []
+
+
+def test_a_robot_that_cannot_come_home_to_charge_says_where_it_ended_and_why() -> None:
+    play = Play(row(2), each_tick=discharge(30, 0.2))
+    play.script.fail("drive", "NAV_BLOCKED", (3, 4, 5))
+    assert play.run() == "incomplete"
+    assert [event["purpose"] for event in play.events.of("drive")][2:] == ["start", "start", "start"]
+    assert str(play.course.state).startswith("INCOMPLETE(NAV_BLOCKED): the robot did not come home")
 
 
 @pytest.mark.parametrize("first", range(1, 30, 4))

@@ -33,10 +33,11 @@ WHILE = range(12, 14)
 
 
 def moves_while_it_scans(patch: Patch, play: Play) -> None:
-    patch.setattr(Interlock, "free", True)
+    patch.setattr(Interlock, "lets_drive", lambda self, now: True)
 
 
 def moves_in_a_hold(patch: Patch, play: Play) -> None:
+    patch.setattr(Interlock, "lets_drive", lambda self, now: True)
     patch.setattr(executive, "DRIVING", frozenset(Phase))
     play.each_tick = lambda play, ticks: setattr(play.floor, "free", 0.0 if 8 <= ticks < 14 else 100.0)
 
@@ -241,6 +242,6 @@ def test_a_mission_that_keeps_them_all_passes() -> None:
 
 
 def test_a_mission_with_a_run_folder_is_watched_too(monkeypatch: Patch, tmp_path: Path) -> None:
-    monkeypatch.setattr(Interlock, "free", True)
+    monkeypatch.setattr(Interlock, "lets_drive", lambda self, now: True)
     with pytest.raises(AssertionError, match=BREACHES[moves_while_it_scans]):
         Kept(tmp_path).fly()

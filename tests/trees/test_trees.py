@@ -113,7 +113,7 @@ def test_every_wait_has_an_end(kind: type[JobLeaf]) -> None:
     """By a deadline of its own, by the worker's for each stage, or by the driver's, named here with its reason."""
     own_deadline = kind.timeout is not JobLeaf.timeout
     assert own_deadline or issubclass(kind, StageLeaf) or kind in BOUNDED_BY_THEIR_DRIVER
-    assert not own_deadline or kind.timeout_code != JobLeaf.timeout_code, "its timeout has a code of its own"
+    assert own_deadline == hasattr(kind, "timeout_code"), "its timeout has a code of its own"
 
 
 def test_the_waits_that_hold_the_robot_up_have_deadlines_in_the_tree() -> None:

@@ -74,8 +74,7 @@ class AssessRoom(Leaf):
         survey = replace(survey, cycles={**survey.cycles, room_id: (*earlier, Cycle(scan_id, history[-1], decision))})
         self._record(room_id, scan_id, survey)
         if decision.stop:
-            given_up = decision.reason == "no_candidate" and bool(self.read(Key.AVOID))
-            status, reason = ("partial", "views_blocked") if given_up else ("complete", decision.reason)
+            status, reason = self._verdict(decision.reason)
             survey = replace(survey, building=survey.building.end_room(room_id, status, reason))
             self.services.journal.record(
                 "room_ended",
@@ -93,6 +92,12 @@ class AssessRoom(Leaf):
         self.write(Key.SURVEY, survey)
         self.say(f"λ {decision.growing_rate:.3f}, μ {decision.occluded_decrease_rate:.3f}: {decision.reason}")
         return Status.SUCCESS
+
+    def _verdict(self, reason: str) -> tuple[str, str]:
+        """Status and reason of a room that gets no more scans: complete only where another one would show little."""
+        if reason == stopping.NO_CANDIDATE and self.read(Key.AVOID):
+            return "partial", "views_blocked"
+        return "partial" if reason == stopping.MAX_SCANS else "complete", reason
 
     def _record(self, room_id: str, scan_id: str, survey: Survey) -> None:
         cycle = survey.cycles[room_id][-1]

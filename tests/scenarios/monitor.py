@@ -234,7 +234,7 @@ class Monitor:
 def unexplained(executive: Executive, said: str, failures: list[dict[str, Any]]) -> list[str]:
     """What a mission left undone without naming a cause that it met."""
     survey, state = executive.survey, executive.course.state
-    met = {str(event["code"]) for event in failures} | {"views_blocked"}
+    met = {str(event["code"]) for event in failures} | {"views_blocked", "max_scans"}
     rooms, doors = survey.building.rooms, survey.building.doors
     found = [f"{room.id}: {room.reason or 'no reason'}" for room in rooms if _is_short(room.status, room.reason, met)]
     found += [f"{edge.id}: {edge.reason or 'no reason'}" for edge in doors if _is_short(edge.state, edge.reason, met)]

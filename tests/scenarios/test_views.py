@@ -1,8 +1,11 @@
 """Missions in which the way to a view is blocked, or there is no view."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from behaviours.settings import Settings
 from perception.findings import ViewChoice
 from tests.scenarios.play import Play, with_driving
 from tests.scenarios.scripted import EVER, HANG
@@ -55,6 +58,14 @@ def test_a_room_whose_views_are_all_blocked_stays_partial() -> None:
     assert play.rooms == {"A": ("partial", "views_blocked")}
     assert play.events.codes.count("NAV_BLOCKED") == 4
     assert play.calls["choose_view"] == 5
+
+
+def test_a_room_whose_scans_are_used_up_while_a_view_promises_more_is_not_complete() -> None:
+    settings = Settings()
+    play = Play(row(2), settings=replace(settings, room=replace(settings.room, max_scans=1)))
+    assert play.run() == "incomplete"
+    assert set(play.rooms.values()) == {("partial", "max_scans")}
+    assert len(play.rooms) == 2, "it goes on with the next room"
 
 
 def test_views_are_tried_no_more_often_than_the_settings_say() -> None:

@@ -1,6 +1,7 @@
 """What every test starts from."""
 
 import gc
+import signal
 from collections.abc import Iterator
 
 import hypothesis
@@ -22,6 +23,16 @@ def pytest_collection_finish() -> None:
 def pytest_unconfigure() -> None:
     """Whatever Open3D has made must be gone at the exit, or it makes an error of it."""
     gc.unfreeze()
+
+
+@pytest.fixture(autouse=True)
+def same_signals() -> Iterator[None]:
+    """A mission that has ended leaves its process deaf, and whatever that starts; a test's process goes on."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        if signal.getsignal(number) is not handler:
+            signal.signal(number, handler)
 
 
 @pytest.fixture(autouse=True)

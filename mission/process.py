@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def process_folder(folder: Path, out: Path) -> Row:
     run = RunFolder.create(out, folder.resolve().name.lower())
     journal = JsonLines(run.events, MissionClock())
     processing = _Processing(run, journal)
-    for reading in (*refused, usable, *readings):
+    for reading in chain(refused, (usable,), readings):  # one after the other: all clouds at once are too many
         processing.read(*reading)
     processing.shape()
     journal.close()

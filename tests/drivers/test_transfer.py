@@ -165,6 +165,15 @@ def test_what_is_there_already_is_not_fetched(endpoints, taken, tmp_path):
     assert value_of(ScannerClient(nobody, QUICK).fetch(receipt, destination)) == destination
 
 
+def test_what_is_there_already_and_is_not_the_scan_is_fetched(endpoints, taken, tmp_path):
+    _, receipt, spool = taken
+    whole = (spool / "S01.scan").read_bytes()
+    destination = tmp_path / "S01.scan"
+    destination.write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
+    assert value_of(ScannerClient(endpoints, QUICK).fetch(receipt, destination)) == destination
+    assert destination.read_bytes() == whole
+
+
 def test_chunks_that_are_right_one_by_one_but_no_scan_together_are_not_taken_for_one(endpoints, taken, tmp_path):
     _, receipt, spool = taken
     other = b"x" + (spool / "S01.scan").read_bytes()[1 : 1 << 20]

@@ -4,7 +4,7 @@ from mission.attempt import attempt
 from mission.export.e57 import write_e57
 from mission.export.ros_map import write_ros_map
 from mission.report import write_report
-from mission.report.run import EVALUATION, read_run
+from mission.report.run import EVALUATION, Run, read_run
 from mission.store import RunFolder
 
 _CLOUD, _MAP = "building.e57", "maps/building"
@@ -34,16 +34,16 @@ def report_again(folder: RunFolder) -> bool:
         FailureError: ``RUN_UNREADABLE`` if the folder holds no run, ``DISK_FULL``, ``IO_ERROR``.
     """
     run = read_run(folder.path)
-    if run.state.get("outcome") and run.scans and not _is_delivered(folder):
+    if run.state.get("outcome") and run.scans and not _is_delivered(folder, run):
         return finish(folder)
     write_report(folder.path)
     return True
 
 
-def _is_delivered(folder: RunFolder) -> bool:
+def _is_delivered(folder: RunFolder, run: Run) -> bool:
     """Whether the cloud, the map and the evaluation that belong to a run are there, and not of an earlier end of it."""
     due = [folder.path / _CLOUD]
-    if _map_of(folder):
+    if run.state.get("map_id"):
         due.append(folder.path / f"{_MAP}.yaml")
     if folder.rehearsal.exists():
         due.append(folder.path / EVALUATION)
@@ -58,9 +58,5 @@ def _evaluate(folder: RunFolder) -> None:
 
 
 def _export_map(folder: RunFolder) -> None:
-    if map_id := _map_of(folder):
+    if map_id := read_run(folder.path).state.get("map_id"):
         write_ros_map(folder.robot_map(map_id), folder.path / _MAP)
-
-
-def _map_of(folder: RunFolder) -> str | None:
-    return read_run(folder.path).state.get("map_id")
